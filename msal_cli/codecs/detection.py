@@ -29,6 +29,8 @@ SCENES = {"glb", "gltf"}
 _WIDE_TEXT = re.compile(rb"\xff\xfe(?:[^\0]\0){4}|\xfe\xff(?:\0[^\0]){4}")
 """How text in UTF-16 begins; no binary format does."""
 
+_GIT_LFS = b"version https://git-lfs.github.com/spec/"
+
 _NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"
 _OBJ_LINE = (
@@ -86,8 +88,15 @@ def content_format(data: Buffer, expected: str = "", size: int | None = None) ->
     return "obj" if is_obj else ""
 
 
-def refuse_utf16(head: Buffer) -> None:
-    """Raise FormatError for a file that begins as UTF-16 text does, whatever its format."""
+def refuse_no_mesh(head: Buffer) -> None:
+    """Raise FormatError for what no format begins with: text in UTF-16, and what Git LFS leaves in
+    place of a file that was not fetched."""
+    if bytes(memoryview(head)[: len(_GIT_LFS)]) == _GIT_LFS:
+        raise FormatError(
+            "the file is a pointer of Git LFS, and the mesh was not fetched",
+            where="line 1",
+            hint="run git lfs pull, or in CI check out with LFS (lfs: true of actions/checkout)",
+        )
     if _WIDE_TEXT.match(head):
         raise FormatError(
             "the file is UTF-16 text, which mesh formats are not written in",
@@ -112,9 +121,9 @@ def resolve_format(data: Buffer, name: str, format: str | None) -> str:
     """The format to read a file in, which its content agrees with; parameters as of ``open_mesh``.
 
     Raises UnsupportedError for a format that is not known; FormatError, TruncatedError for a
-    content of another format than the name says, for UTF-16, and for an empty file.
+    content of another format than the name says, for what is no mesh, and for an empty file.
     """
-    refuse_utf16(data)
+    refuse_no_mesh(data)
     wanted = _wanted(data, name, format)
     if not len(data):
         raise cut_short("the file is empty")

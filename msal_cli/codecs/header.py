@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
-from msal_cli.codecs.detection import content_format, format_of_name, refuse_utf16
+from msal_cli.codecs.detection import content_format, format_of_name, refuse_no_mesh
 from msal_cli.errors import MsalError, TooLargeError, cut_short
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
@@ -63,7 +63,7 @@ def read_header(
     """
     view = memoryview(head)
     try:
-        refuse_utf16(head)
+        refuse_no_mesh(head)
         if format == "obj":
             from msal_cli.codecs.obj import refuse_binary
 

@@ -78,14 +78,18 @@ def test_empty_files(name):
         open_mesh(b"", name)
 
 
-@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.off", "a.stl", "a.vtk", "a.gltf", "a"])
-def test_text_in_utf_16_is_said_to_be_that(name, encoding):
-    data = "\ufeffply\nformat ascii 1.0\n".encode(encoding)
-    with pytest.raises(FormatError, match="UTF-16") as caught:
+@pytest.mark.parametrize(
+    ("text", "encoding", "what", "hint"),
+    [("\ufeffply\n", f"utf-16-{end}", "UTF-16", "UTF-8") for end in ("le", "be")]
+    + [("version https://git-lfs.github.com/spec/v1\n", "ascii", "Git LFS", "git lfs pull")],
+)
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.vtk", "a.gltf", "a"])
+def test_what_is_no_mesh_is_said_to_be_that(name, text, encoding, what, hint):
+    data = text.encode(encoding)
+    with pytest.raises(FormatError, match=what) as caught:
         open_mesh(data, name)
-    assert "UTF-8" in caught.value.hint
-    assert "UTF-16" in str(read_header(name[2:], data, len(data)).error)
+    assert hint in caught.value.hint
+    assert what in str(read_header(name[2:], data, len(data)).error)
 
 
 def test_suffixes_that_are_not_read():
