@@ -592,7 +592,9 @@ def open_folder(place: str, stack: ExitStack, shard: Shard | None = None) -> Man
             Path(place).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(
-                f"the output folder {place!r} cannot be made: {error.strerror}", path=place
+                f"the output folder {place!r} cannot be made: {error.strerror}",
+                hint="choose another output, or mend the permissions",
+                path=place,
             ) from None
         stack.enter_context(FolderLock(place, shard))
     manifest = open_manifest(place, shard)

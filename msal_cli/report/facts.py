@@ -504,8 +504,9 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
 
 def is_filtered(record: MeshRecord) -> bool:
     """Whether a method moved vertices; a mesh that is left as it is may still be converted."""
-    has_method = record.method is not None and record.method.name != "none"
-    return has_method and record.status != "unchanged"
+    if record.method is None or record.method.name == "none" or record.status == "unchanged":
+        return False
+    return record.method.parameters.get("iterations") != 0
 
 
 def unsure_text(record: MeshRecord) -> str:

@@ -14,6 +14,7 @@ from msal_cli.analysis.measures import at_other_positions, measure_enclosure, ne
 from msal_cli.arrays import Floats
 from msal_cli.codecs.colours import colour_table, map_colours, vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
+from msal_cli.errors import format_count
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
@@ -255,7 +256,8 @@ def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:
 def counts_text(scene: Scene, at: int) -> str:
     """How large a mesh is, the one before or the one after: faces, and vertices that they use."""
     mesh = scene.after if at and scene.after is not None else scene.before
-    return f"{len(mesh.faces):,} triangles, {mesh.topology.has_ring.sum():,} vertices"
+    n_vertices = int(mesh.topology.has_ring.sum())
+    return f"{format_count(len(mesh.faces), 'triangle')}, {format_count(n_vertices, 'vertex')}"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:

@@ -85,6 +85,7 @@ RECORDS = [
 HARDLY = dataclasses.replace(
     NOISE, mean_edges=0.001, file_units=0.0002, low_edges=0.0, negligible=True, unsure=False
 )
+UNMOVED = records.MethodUsed("msal", {"iterations": 0})
 OPEN = records.Volume(None, None, None, None, False, "not orientable")
 GATE = gated().gates[0]
 PLANNED = records.Planned(2_000, 10, 8.0)
@@ -104,7 +105,7 @@ SEEN_SELDOM = [
         method=records.MethodUsed("none", {}),
     ),
     written("despiked.ply", despiked=1, locked_vertices=0, volume=OPEN),
-    written("open.ply", volume=OPEN, boundary_edges=2),
+    written("open.ply", volume=OPEN, boundary_edges=2, noise_estimate=HARDLY, method=UNMOVED),
     written("passed.ply", gates=(dataclasses.replace(GATE, broken=False),)),
     written("undecided.ply", gates=(dataclasses.replace(GATE, decided=False),)),
     written("near.ply", reference=records.Reference("t.ply", hausdorff_edges=0.5)),

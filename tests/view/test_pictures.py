@@ -84,6 +84,8 @@ def test_split_vertices_have_the_mean_of_their_colours():
     colours = np.tile(np.arange(8)[:, None] * 30, (1, 3))[flat]
     scene = pictures.scene_of(_painted(vertices[flat], triangles, colours), None, NAMES[:1])
     assert sorted(scene.painted(0)[:, 0].tolist()) == (np.arange(8) * 30).tolist()
+    scene = pictures.scene_of(_painted(vertices, faces[:1], colours), None, NAMES[:1])
+    assert pictures.counts_text(scene, 0) == "1 triangle, 3 vertices"
 
 
 @pytest.mark.parametrize(
