@@ -107,14 +107,16 @@ def write(
             module, function = _WRITERS[_suffix(name)]
             render = getattr(import_module(f"msal_cli.report.{module}"), function)
             options: dict[str, Any] = {}
+            shown: tuple[str, ...] = ()
             if name in pages and pictures is not None:
-                options = {"gallery": pictures}
+                options, shown = {"gallery": pictures}, tuple(pictures.pictures)
             elif function == "render_csv":
                 options = {"has_all": csv_columns == "all"}
             data = render(run, records, **options)
             # A signal must not leave a temporary file, which no later run would remove.
             with interrupts.catch_signals():
-                write_output(name, data)
+                # No more users may open a page than the meshes that it shows.
+                write_output(name, data, sources=shown)
         except OutputError as error:
             first = first or error
     if first is not None:

@@ -47,6 +47,7 @@ def test_a_pipe_or_a_hole_in_the_place_of_what_msal_keeps(place, name):
         ("out.ply", "noise in/a.ply"),
         ("out.ply", "compare in/a.ply in/a.ply --heatmap out.ply"),
         ("out.html", "view in/a.ply"),
+        ("out.html", "denoise in/a.ply -o out.ply --report out.html"),
         ("out.png", "view in/a.ply --size 48"),
         ("out.png", "sweep in/a.ply --columns K=1 --size 48"),
     ],
