@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.cli import console
 from msal_cli.job.display_names import escape_for_display, pad_name, shorten_name
 from msal_cli.report.facts import seconds_text
 
 if TYPE_CHECKING:
-    from msal_cli.batch.schedule import Event, Finished
+    from msal_cli.batch.schedule import Event
     from msal_cli.job.settings import Task
 
 _NAME_WIDTH = 32
@@ -42,14 +43,7 @@ class Silent:
     _bar: Any = None
 
     def on_event(self, event: Event) -> None:
-        """Show what happened to a file of a run; of a single file, its progress."""
-        from msal_cli.batch.schedule import Progress
-
-        if isinstance(event, Progress):
-            self.on_progress(event.stage, event.done, event.total)
-
-    def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Show ``done`` of ``total`` steps of ``stage`` of a single file."""
+        """Show what happened to a file of a run."""
 
     def close(self) -> None:
         """Take the bar away."""
@@ -65,11 +59,11 @@ class StageLine(Silent):
         self._wakes = time.monotonic() + _DELAY_S
         self._bar = _make_bar(total=1, bar_format="{desc}", delay=_DELAY_S)
 
-    def on_progress(self, stage: str, done: int, total: int) -> None:
-        text = f"{self._name}: {_stage_text(stage, done, total)}"
-        self._bar.set_description_str(text, refresh=False)
-        if time.monotonic() >= self._wakes:
-            self._bar.refresh()
+    def on_event(self, event: Event) -> None:
+        if isinstance(event, Progress):
+            self._bar.set_description_str(f"{self._name}: {_stage_text(event)}", refresh=False)
+            if time.monotonic() >= self._wakes:
+                self._bar.refresh()
 
 
 class FileBar(Silent):
@@ -82,8 +76,6 @@ class FileBar(Silent):
         self._shown = 0.0
 
     def on_event(self, event: Event) -> None:
-        from msal_cli.batch.schedule import Finished, Started
-
         if isinstance(event, Started):
             name = pad_name(_shorten(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
@@ -104,40 +96,30 @@ class Log(Silent):
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._tasks = tasks
-        self._name = tasks[0].relative
         self._n_done = self._n_current = self._n_failed = self._n_unsaid = 0
         self._begun = self._said = time.monotonic()
 
     def on_event(self, event: Event) -> None:
-        """Say what became of a file, or after a while what is being done."""
-        from msal_cli.batch.schedule import Finished
-
-        self._name = self._tasks[event.index].relative
-        super().on_event(event)
-        if isinstance(event, Finished):
-            self._n_done += 1
-            self._n_failed += event.record.status == "failed"
-            is_current = event.record.status == "up-to-date"
-            self._n_current += is_current
-            # The summary follows at once on a single file, and counts those that are up to date.
-            if len(self._tasks) > 1 and not is_current:
-                self._n_unsaid += 1
-                self._say_files(event)
-
-    def on_progress(self, stage: str, done: int, total: int) -> None:
-        if time.monotonic() >= self._said + _SILENT_S:
-            self._said = time.monotonic()
-            name = escape_for_display(self._name)
-            console.say(f"{name}: {_stage_text(stage, done, total)}")
-
-    def _say_files(self, event: Finished) -> None:
-        from msal_cli.report.text import file_text
-
-        now, n_files = time.monotonic(), len(self._tasks)
+        now, name = time.monotonic(), escape_for_display(self._tasks[event.index].relative)
+        if isinstance(event, Progress) and now >= self._said + _SILENT_S:
+            console.say(f"{name}: {_stage_text(event)}")
+            self._said = now
+        if not isinstance(event, Finished):
+            return
+        self._n_done += 1
+        self._n_failed += event.record.status == "failed"
+        is_current = event.record.status == "up-to-date"
+        self._n_current += is_current
+        n_files = len(self._tasks)
+        # The summary follows at once on a single file, and counts those that are up to date.
+        if n_files == 1 or is_current:
+            return
+        self._n_unsaid += 1
         if n_files > _MAX_LINES and now < self._said + _LOG_EVERY_S:
             return
         if self._n_unsaid == 1:
-            name = escape_for_display(self._tasks[event.index].relative)
+            from msal_cli.report.text import file_text
+
             text = f"{name}: {file_text(event.record)}"
         else:
             n_worked = self._n_done - self._n_current
@@ -176,9 +158,9 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def _stage_text(stage: str, done: int, total: int) -> str:
-    is_counted = stage in _COUNTED and total > 1
-    return f"{stage} {done:,} of {total:,}" if is_counted else stage
+def _stage_text(event: Progress) -> str:
+    is_counted = event.stage in _COUNTED and event.total > 1
+    return f"{event.stage} {event.done:,} of {event.total:,}" if is_counted else event.stage
 
 
 def _shorten(name: str) -> str:
