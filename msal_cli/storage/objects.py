@@ -43,8 +43,7 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
     if it has more than half of the machine's memory; UsageError if a package is missing.
     """
-    with _errors(url, "the object cannot be read"):
-        system, path = _open(url)
+    with _opened(url, "the object cannot be read") as (system, path):
         if size is None or size < 0:
             known = _mark(system, path)
             size = known.size if known is not None else 0
@@ -58,10 +57,11 @@ def read_whole(url: str, size: int | None = None) -> bytes:
 
 
 @contextlib.contextmanager
-def _errors(url: str, message: str, *, is_output: bool = False) -> Iterator[None]:
-    """Make InputError (``E_READ``) or OutputError of whatever a file system raises."""
+def _opened(url: str, message: str, *, is_output: bool = False) -> Iterator[tuple[Any, str]]:
+    """The file system of a URL and the path in it; whatever it raises in the block becomes
+    InputError (``E_READ``) or OutputError."""
     try:
-        yield
+        yield _open(url)
     except (MsalError, MemoryError):
         raise
     except Exception as failure:
@@ -82,8 +82,7 @@ def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     if there is None:
         raise InputError("there is no such object", path=url, code="E_READ")
     data = b""
-    with _errors(url, "the object cannot be read"):
-        system, path = _open(url)
+    with _opened(url, "the object cannot be read") as (system, path):
         if there.size:
             # A range of nothing is an error to some stores; a web server may send all of it.
             data = system.cat_file(path, start=0, end=length)[:length]
@@ -115,8 +114,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
     if isinstance(buffers, bytes | bytearray | memoryview):
         buffers = (buffers,)
     data = b"".join(buffers)
-    with _errors(url, "the object cannot be written", is_output=True):
-        system, path = _open(url)
+    with _opened(url, "the object cannot be written", is_output=True) as (system, path):
         if not _OBJECT_STORES.fullmatch(urls.split(url)[0]):
             raise OutputError(
                 "objects are written to object stores only: others may show a part of one",
@@ -140,8 +138,8 @@ def mark(url: str) -> ObjectMark | None:
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
     """
-    with _errors(url, "the object cannot be inspected"):
-        return _mark(*_open(url))
+    with _opened(url, "the object cannot be inspected") as (system, path):
+        return _mark(system, path)
 
 
 def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
@@ -151,8 +149,7 @@ def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
     On object stores that is one request for a thousand objects, however deep they lie.  The errors
     are those of ``mark``.
     """
-    with _errors(url, "the folder cannot be listed"):
-        system, path = _open(url)
+    with _opened(url, "the folder cannot be listed") as (system, path):
         system.invalidate_cache()
         limit = {} if depth is None else {"maxdepth": depth}
         found: dict[str, dict[str, Any]] = {}
@@ -184,7 +181,22 @@ def remove_objects(object_urls: Sequence[str]) -> None:
 
 def _open(url: str) -> tuple[Any, str]:
     protocol = urls.split(url)[0]
-    kind = _kind(protocol)
+    try:
+        import fsspec
+
+        kind: Any = fsspec.get_filesystem_class(protocol)
+    except ImportError as failure:
+        # Of a known protocol fsspec says what to install.
+        is_extra = protocol in ("s3", "s3a", "gs", "gcs") or failure.name == "fsspec"
+        raise UsageError(
+            f"{protocol}:// cannot be used: {_one_line(failure)}",
+            hint=install_hint("cloud") if is_extra else "",
+        ) from None
+    except ValueError:
+        raise UsageError(
+            f"the protocol of {protocol}:// is not known",
+            hint="URLs are those of fsspec, such as s3://bucket/scans",
+        ) from None
     is_s3 = protocol in ("s3", "s3a")
     if is_s3 and "?versionId=" in url:
         # s3fs would cut the name there, and read or replace another object.
@@ -212,25 +224,6 @@ def _connect(protocol: str, options: dict[str, Any]) -> Any:
     if isinstance(getattr(system, "retries", None), int):
         system.retries = min(system.retries, _TRIES_AROUND_BOTOCORE)
     return system
-
-
-def _kind(protocol: str) -> Any:
-    try:
-        import fsspec
-
-        return fsspec.get_filesystem_class(protocol)
-    except ImportError as failure:
-        # Of a known protocol fsspec says what to install.
-        is_extra = protocol in ("s3", "s3a", "gs", "gcs") or failure.name == "fsspec"
-        raise UsageError(
-            f"{protocol}:// cannot be used: {_one_line(failure)}",
-            hint=install_hint("cloud") if is_extra else "",
-        ) from None
-    except ValueError:
-        raise UsageError(
-            f"the protocol of {protocol}:// is not known",
-            hint="URLs are those of fsspec, such as s3://bucket/scans",
-        ) from None
 
 
 def _mark(system: Any, path: str) -> ObjectMark | None:
