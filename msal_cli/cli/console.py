@@ -275,9 +275,3 @@ def status_of_files(
     if n_failed:
         return FATAL if n_failed == n_files else SOME_FAILED
     return GATE_FAILED if is_gate_failed else SUCCESS
-
-
-def status_of_error(error: MsalError) -> int:
-    if error.code == "E_NOTHING_MATCHED":
-        return NOTHING_MATCHED
-    return USAGE if isinstance(error, UsageError) else FATAL

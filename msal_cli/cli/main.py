@@ -15,7 +15,7 @@ from click.exceptions import Exit
 
 from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console
-from msal_cli.errors import MsalError, OutputError
+from msal_cli.errors import MsalError, OutputError, UsageError
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.machine import is_out_of_memory
 from msal_cli.version import __version__
@@ -155,7 +155,9 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         return console.FATAL
     except MsalError as error:
         console.say_error(error)
-        return console.status_of_error(error)
+        if error.code == "E_NOTHING_MATCHED":
+            return console.NOTHING_MATCHED
+        return console.USAGE if isinstance(error, UsageError) else console.FATAL
     except KeyboardInterrupt as interrupt:
         console.say("msal: interrupted")
         return int(getattr(interrupt, "exit_status", console.INTERRUPTED))

@@ -119,7 +119,7 @@ class FileRun:
         self._started = self._counted = time.perf_counter()
         self._stage = "read"
         self._seconds: dict[str, float] = {}
-        self._record = start_record(name, settings)
+        self.record = start_record(name, settings)  # what is known so far
         self._is_changed = False
         # For each field of --fields the values (n,) at the file's vertices.
         self.field_values: dict[str, Floats] = {}
@@ -127,11 +127,6 @@ class FileRun:
         self._output_digest: Callable[[], str] | None = None
 
     # The record
-
-    @property
-    def record(self) -> MeshRecord:
-        """What is known so far."""
-        return self._record
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -155,10 +150,10 @@ class FileRun:
 
     def know(self, **values: Any) -> None:
         """Set fields of the record."""
-        self._record = replace(self._record, **values)
+        self.record = replace(self.record, **values)
 
     def warn(self, *warnings: str) -> None:
-        self.know(warnings=self._record.warnings + warnings)
+        self.know(warnings=self.record.warnings + warnings)
 
     def _close_record(self, **values: Any) -> MeshRecord:
         """The record with these fields, all seconds until now, and the peak of memory."""
@@ -167,7 +162,7 @@ class FileRun:
         # Pages of files, which the system takes back when it likes, would count.
         peak = None if array_files.are_used() else machine.peak_bytes()
         self.know(seconds=seconds, peak_memory_bytes=peak, **values)
-        return self._record
+        return self.record
 
     def finish(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
         """The record of a file that was written."""
@@ -178,7 +173,7 @@ class FileRun:
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        failure = Failure.of(room.to_known_error(error, self._record.input))
+        failure = Failure.of(room.to_known_error(error, self.record.input))
         return self._close_record(status="failed", error=failure, **dict.fromkeys(_OF_OUTPUT))
 
     # The way of a file
@@ -192,7 +187,7 @@ class FileRun:
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
         mesh_file, is_compressed = self.open(data)
-        source = output.Source(data, self._record.input, is_compressed)
+        source = output.Source(data, self.record.input, is_compressed)
         store = functools.partial(output.as_stored, mesh_file, self._settings, output_path)
         vertices = self.move_vertices(mesh_file, store=store)
         return self.build(mesh_file, vertices, output_path, source)
@@ -202,7 +197,7 @@ class FileRun:
         with self.stage("read"):
             digest = gzip_streams.sha256_meanwhile(data)
             try:
-                name, format = self._record.input, self._settings.format
+                name, format = self.record.input, self._settings.format
                 mesh_file, is_compressed = room.open_mesh(data, name, format)
             finally:
                 # A file that cannot be read is known by its hash, too.
@@ -305,7 +300,7 @@ class FileRun:
             chosen = first = prepare(mesh, settings, functools.partial(self._on_progress, "choose"))
         self.know(**chosen.known)
         self.warn(*chosen.warnings)
-        choice = self._record.choice
+        choice = self.record.choice
         estimate = functools.partial(estimate_noise, chosen.mesh)
         # A choice knows it; else one core estimates it while the others smooth.
         is_beside = (
@@ -344,7 +339,7 @@ class FileRun:
             self.warn(*chosen.warnings)
         with self.stage("measure"):
             self.know_changes(measured)
-            noise, displacement = self._record.noise_estimate, self._record.displacement
+            noise, displacement = self.record.noise_estimate, self.record.displacement
             if choice is None and chosen.method is not None and noise and displacement:
                 # The user named the method, which may harm the mesh.
                 used = (chosen.method, chosen.parameters)
@@ -400,7 +395,7 @@ class FileRun:
         self.know(**measured.fields)
         self.warn(*(f"{text} ({code})" for code, text in measured.warnings))
         codes = tuple(code for code, _ in measured.warnings)
-        self.know(warning_codes=self._record.warning_codes + codes)
+        self.know(warning_codes=self.record.warning_codes + codes)
 
     def check_intersections(self, ready: PreparedMesh, moved: Floats) -> None:
         """Count faces that intersect each other, if that was requested."""

@@ -277,16 +277,11 @@ def sweep(folders: Iterable[str | Path], ended: int | None = None) -> int:
             path = Path(folder) / match[0]
             # Another process may be faster, or the file locked; it does no harm.
             with contextlib.suppress(OSError):
-                if _is_stale(match, path, ended):
+                is_here, pid = match["machine"] == machine_tag(), int(match["pid"])
+                is_left = is_here and (pid == ended if ended is not None else not is_alive(pid))
+                if ended is None and not is_left:
+                    is_left = time.time() - path.lstat().st_mtime > _STALE_AFTER_S
+                if is_left:
                     path.unlink()
                     count += 1
     return count
-
-
-def _is_stale(match: re.Match[str], path: Path, ended: int | None) -> bool:
-    is_here, pid = match["machine"] == machine_tag(), int(match["pid"])
-    if ended is not None:
-        return is_here and pid == ended
-    if is_here and not is_alive(pid):
-        return True
-    return time.time() - path.lstat().st_mtime > _STALE_AFTER_S
