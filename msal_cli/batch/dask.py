@@ -20,7 +20,7 @@ from typing import Any
 from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Failed, Interrupt, Message, Returned, Started, Work
 from msal_cli.batch.workers import WorkerPool
-from msal_cli.errors import ResourceError, UsageError, install_hint
+from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.records import Failure
 from msal_cli.storage.atomic import sweep, temporary_name
 from msal_cli.version import __version__
@@ -134,10 +134,8 @@ class DaskEngine:
 
 def _connect(scheduler: str) -> Any:
     """A client of a scheduler; UsageError if there is none."""
-    try:
-        import distributed
-    except ImportError as error:
-        raise not_installed() from error
+    import distributed
+
     # They print to standard error.
     for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -170,10 +168,6 @@ def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
     if isinstance(error, UsageError):
         raise error
     raise ResourceError(f"Dask cannot go on: {type(error).__name__}: {error}", hint=_GOES_ON)
-
-
-def not_installed() -> UsageError:
-    return UsageError("Dask is not installed", hint=install_hint("dask"))
 
 
 def denoise_in_child(version: str, payload: bytes) -> bytes:

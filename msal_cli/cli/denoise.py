@@ -15,7 +15,7 @@ from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command, is_from_found_file, name_file
 from msal_cli.cli.options import STREAM, group
-from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
+from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError, install_hint
 from msal_cli.job.settings import (
     AUTO,
     DEFAULT_BACKUP,
@@ -486,10 +486,8 @@ def check_request(request: Request, stream: Task | None) -> None:
     if "dask" in given:
         import importlib.util
 
-        from msal_cli.batch.dask import not_installed
-
         if importlib.util.find_spec("distributed") is None:
-            raise not_installed()
+            raise UsageError("Dask is not installed", hint=install_hint("dask"))
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
