@@ -116,8 +116,6 @@ def build_plan(
     elif not output:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output):
-        if not is_mesh_name(output):
-            refuse_unknown_format(output)
         if to is not None and output_name(output, to).casefold() != output.casefold():
             raise UsageError(
                 f"--to {to} contradicts the suffix of the output {output!r}",
@@ -125,7 +123,6 @@ def build_plan(
             )
         tasks = [Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)]
     else:
-        _check_folder_output(found, output)
         tasks = [_mirror(file, output, to) for file in found]
     if len(tasks) > 1:
         tasks = _distinct_tasks(tasks)
@@ -188,25 +185,19 @@ def _in_place_task(file: DiscoveredInput, backup: str | None) -> Task:
 
 
 def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
-    if len(found) != 1 or found[0].root or output.endswith(("/", os.sep)):
-        return False
-    if is_url(output):
-        return is_mesh_name(output)
-    return not os.path.isdir(output) and (os.path.lexists(output) or is_mesh_name(output))
-
-
-def _check_folder_output(found: Sequence[DiscoveredInput], output: str) -> None:
-    """Refuse a folder that is to be made and is called like a file."""
+    """Whether the output is a file; UsageError for a new folder that is called like one."""
     if output.endswith(("/", os.sep)) or (not is_url(output) and os.path.isdir(output)):
-        return
+        return False
     if len(found) == 1 and not found[0].root:
         refuse_unknown_format(output)
-    elif is_mesh_name(output):
+        return is_mesh_name(output) or (not is_url(output) and os.path.lexists(output))
+    if is_mesh_name(output):
         raise UsageError(
             f"the output {output!r} is called like one mesh file, and a folder or several files "
             "are the input",
             hint=f"write {output + '/'!r} if that is to be a folder, or name one input file",
         )
+    return False
 
 
 def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
