@@ -3,6 +3,7 @@ log."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,8 @@ from msal_cli.report.facts import seconds_text
 if TYPE_CHECKING:
     from msal_cli.batch.schedule import Event
     from msal_cli.job.settings import Task
+
+_log = logging.getLogger("msal.denoise")
 
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
@@ -111,8 +114,9 @@ class Log(Silent):
         is_current = event.record.status == "up-to-date"
         self._n_current += is_current
         n_files = len(self._tasks)
-        # The summary follows at once on a single file, and counts those that are up to date.
-        if n_files == 1 or is_current:
+        # The summary follows at once on a single file, and counts those that are up to date; with
+        # -v the log has a line for each.
+        if n_files == 1 or is_current or _log.isEnabledFor(logging.INFO):
             return
         self._n_unsaid += 1
         if n_files > _MAX_LINES and now < self._said + _LOG_EVERY_S:

@@ -211,18 +211,20 @@ def logged(monkeypatch, names):
     return stream, progress.bar(tasks(*names), quiet=False)
 
 
-def test_a_log_has_a_line_for_each_file_as_it_finishes_with_its_whole_name(monkeypatch):
+def test_a_log_has_a_line_for_each_file_as_it_finishes_with_its_whole_name(monkeypatch, caplog):
     long = "folder/" * 30 + "scan.ply"
-    stream, log = logged(monkeypatch, [long, "old.ply", "bad.ply", "odd.ply"])
+    stream, log = logged(monkeypatch, [long, "old.ply", "bad.ply", "-v.ply", "odd.ply"])
     log.on_event(Finished(0, written(flipped_faces=2, despiked=1)))
     log.on_event(Finished(1, written(status="up-to-date")))
     log.on_event(Finished(2, failed()))
-    log.on_event(Finished(3, written(warnings=("half\n::gone",))))
+    with caplog.at_level("INFO", "msal"):
+        log.on_event(Finished(3, written()))
+    log.on_event(Finished(4, written(warnings=("half\n::gone",))))
     assert stream.getvalue().splitlines() == [
-        f"[1/4] {long}: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
+        f"[1/5] {long}: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
         "2 flipped faces; 1 outlier vertex brought back; 0.95 s",
-        "[3/4] bad.ply: failed: vertex 17: position is not finite (E_NONFINITE)",
-        "[4/4] odd.ply: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
+        "[3/5] bad.ply: failed: vertex 17: position is not finite (E_NONFINITE)",
+        "[5/5] odd.ply: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
         "warning: half\\n::gone; 0.95 s",
     ]
 
