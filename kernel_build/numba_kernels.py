@@ -7,8 +7,7 @@ import functools
 import types
 from typing import Any, cast
 
-from msal_cli.kernels.compiled import Kernel
-from msal_cli.kernels.library import is_kernel_module
+from msal_cli.kernels.library import Kernel, is_kernel_module
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:

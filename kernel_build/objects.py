@@ -24,7 +24,7 @@ from kernel_build.signatures import LIST, arg_types_of, kernel_of
 from kernel_build.sources import source_hash
 from kernel_build.targets import Target
 from kernel_build.written import written_arguments
-from msal_cli.kernels.compiled import Kernel
+from msal_cli.kernels.library import Kernel
 from msal_cli.machine import usable_cores
 
 CACHE = Path(__file__).parents[1] / "build" / "kernels"

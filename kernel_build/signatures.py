@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from msal_cli.kernels.compiled import Kernel
+from msal_cli.kernels.library import Kernel
 
 LIST = Path(__file__).with_name("signatures.txt")
 

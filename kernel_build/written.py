@@ -9,9 +9,8 @@ import textwrap
 import types
 from typing import Any
 
-from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.lanes import WRITTEN
-from msal_cli.kernels.library import is_kernel_module
+from msal_cli.kernels.library import Kernel, is_kernel_module
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
 

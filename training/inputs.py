@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel_build.numba_kernels import to_dispatcher
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import LANES
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.near_blocks import GUIDES, R1
 from msal_cli.kernels.normal_descriptors import CHUNK, NUMBERS, S1, SUMS, lay_inputs
 from msal_cli.kernels.normal_regression import GLOBALS, STATISTICS, Descriptors

@@ -13,7 +13,7 @@ from typing import Any
 from kernel_build.numba_kernels import to_dispatcher
 from msal_cli.errors import InternalError
 from msal_cli.kernels import library
-from msal_cli.kernels.compiled import Kernel
+from msal_cli.kernels.library import Kernel
 
 _load = library.load
 

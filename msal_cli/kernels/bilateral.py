@@ -11,11 +11,11 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.faces import face_centroids
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vectors import ONE, ZERO, longest_row

@@ -13,7 +13,7 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 CHUNK = 4096

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Ints
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
 from msal_cli.kernels.connectivity import index_rows
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 MAX_COEFFICIENT = 100.0

@@ -6,7 +6,7 @@ the first-level cache they take a third of the time, and give the same bits on e
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 
 # Added to a number it leaves the nearest integer in the lowest bits of the sum.
 _ROUND = 6755399441055744.0  # 1.5 * 2^52

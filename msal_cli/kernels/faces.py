@@ -25,9 +25,9 @@ import numpy as np
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, side_circles
 from msal_cli.kernels.geometry import VANISHED, usable_areas
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
 

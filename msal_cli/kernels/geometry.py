@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Floats32, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
 
 MAX_PARTS = 8

@@ -7,7 +7,6 @@ lanes, so that no bit depends on the block, the lane or the thread that a face f
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import (
     LANES,
     choose_greater,
@@ -20,6 +19,7 @@ from msal_cli.kernels.lanes import (
     root,
     store_lanes,
 )
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 R1, R2, R3, R4, R5, R6, R7, R9, R10, R13, R16, R19 = (

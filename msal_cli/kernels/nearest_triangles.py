@@ -12,7 +12,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.spatial_order import LOW_BITS, gather_rows, morton_keys
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO

@@ -15,7 +15,6 @@ covariance, the plane that fits the heights along b best has the normal C^-1 b, 
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import (
     LANES,
     choose_greater,
@@ -26,6 +25,7 @@ from msal_cli.kernels.lanes import (
     root,
     store_lanes,
 )
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.near_blocks import (
     ENTRY,
     FOUR,

@@ -23,9 +23,9 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import Kernel, compiled
 from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
+from msal_cli.kernels.library import Kernel, compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import centroid_points, face_centroids, faces_within
 from msal_cli.kernels.geometry import apply_umbrella, face_normals_and_areas, lay_face_normals
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     AXES,

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 
 # As constants, so that the compiler sees eight neighbours and makes one load or store of them.
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))

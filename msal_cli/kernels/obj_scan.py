@@ -8,7 +8,7 @@ compiled code does not check bounds: every step here compares with the end of th
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
 from msal_cli.kernels.text import read_integer
 

@@ -22,10 +22,10 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import ring_areas
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, sort_few

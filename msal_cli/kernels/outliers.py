@@ -8,8 +8,8 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.patch_fits import MAX_VERTICES, SLOTS, collect_patch, find_tangents
 from msal_cli.kernels.vectors import sort_few

@@ -9,7 +9,7 @@ reads, since compiled code does not check bounds.  Offsets are bytes from the st
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import (
     EXACT,
     count_digits,

@@ -12,8 +12,8 @@ half of the registers that any processor has.
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import LANES, choose_greater, fill_lanes, load_lanes, store_lanes
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.near_blocks import GUIDES, R1
 from msal_cli.kernels.normal_descriptors import CHUNK, FACES, S1, S2, S3, SUMS, lay_inputs
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row

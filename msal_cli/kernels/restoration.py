@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 NOISE_SHARES = (

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.geometry import doubled_area_normal
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.text import skip_token

@@ -12,7 +12,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import quantile_above_zero

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import (
     EXACT,
     FIXED_BELOW,

@@ -19,7 +19,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE

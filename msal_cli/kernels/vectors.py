@@ -5,7 +5,7 @@ Kernels call those of vectors by the module, as in ``vec.dot``: these are inline
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 

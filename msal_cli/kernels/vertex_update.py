@@ -21,9 +21,9 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.vectors import ONE
 

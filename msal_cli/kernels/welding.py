@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import array_files
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.spatial_order import blocks, order_vertices
 

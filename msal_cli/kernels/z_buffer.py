@@ -10,7 +10,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 NOTHING = -1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.library import compiled
 
 FACTOR = 3.0
 TABLE = np.array([2, 5], dtype=np.int64)

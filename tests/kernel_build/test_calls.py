@@ -12,7 +12,7 @@ from kernel_build.targets import TARGETS, native_target
 from kernel_build.written import written_arguments
 from msal_cli.errors import InternalError
 from msal_cli.kernels import library
-from msal_cli.kernels.compiled import arg_type
+from msal_cli.kernels.library import arg_type
 from tests.files import run_python
 from tests.kernel_build import some_kernels as some
 

@@ -9,7 +9,7 @@ from kernel_build.signatures import arg_types_of, kernel_of, listed
 from kernel_build.sources import check_library, source_hash
 from kernel_build.written import written_arguments
 from msal_cli.kernels import geometry, library, umbrellas, vectors
-from msal_cli.kernels.compiled import Kernel, compiled
+from msal_cli.kernels.library import Kernel, compiled
 from tests.kernel_build import some_kernels as some
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from msal_cli.kernels import near_blocks, normal_descriptors, normal_regression, regression_network
 from msal_cli.kernels import vectors as small_vectors
-from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.library import Kernel
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
