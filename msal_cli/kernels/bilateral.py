@@ -12,7 +12,6 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.faces import face_centroids
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
 from msal_cli.kernels.library import compiled
@@ -171,7 +170,7 @@ def _ball_bilateral(
         # The vertex itself, at height and distance 0, has weight 1: the sum cannot vanish.
         for at in range(count):
             g[at] = -(squares[at] * near) - h[at] * h[at] * alike
-        exponentials(g, count)
+        vec.exponentials(g, count)
         weights = moment = 0.0
         for at in range(count):
             weights += g[at]
@@ -266,7 +265,7 @@ def _project(
         # The largest Gaussian is made 1: the quotient stays the same, and cannot become 0/0.
         for at in range(count):
             g[at] = least - g[at]
-        exponentials(g, count)
+        vec.exponentials(g, count)
         weights = mx = my = mz = 0.0
         for at in range(count):
             f = np.uint64(found[at])

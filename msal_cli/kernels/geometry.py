@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Flags, Floats, Floats32, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.elementary import arctangents
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
+from msal_cli.kernels.vectors import arctangents
 
 MAX_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""

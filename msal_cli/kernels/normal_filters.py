@@ -23,7 +23,6 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
 from msal_cli.kernels.library import Kernel, compiled
 from msal_cli.kernels.parallel import over_ranges
@@ -56,7 +55,7 @@ def distance_exponents(
     """
     exponents = np.empty(len(ring))
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    falloff = 0.5 * LOG2_E / closeness**2
+    falloff = 0.5 * vec.LOG2_E / closeness**2
     flat = centroids.reshape(-1), falloff, handicaps
     over_ranges(_distances, len(centroids), *flat, *rows, exponents)
     return exponents
@@ -89,7 +88,7 @@ def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, r
                 weight[at - origin] = least - weight[at - origin]
             f += ONE
         for at in range(np.uint64(ring_start[f]) - origin):
-            weight[at] = power_of_two(weight[at])
+            weight[at] = vec.power_of_two(weight[at])
         for i in range(first, f):
             total, weights = vec.ORIGIN, 0.0
             for at in vec.row_range(ring_start, i):
@@ -121,7 +120,7 @@ def bilateral_averages(
     np.minimum(handicaps, OUT_OF_REACH, out=handicaps)
     exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    known = exponents, LOG2_E / similarity**2, *rows
+    known = exponents, vec.LOG2_E / similarity**2, *rows
     return _repeat(_average_bilaterally, normals, known, passes, on_pass)
 
 
@@ -169,7 +168,7 @@ def _average_jointly(
                 area[at - origin] = areas[k]
             i += ONE
         for at in range(near_start[i] - origin):
-            weight[at] = area[at] * power_of_two(weight[at])
+            weight[at] = area[at] * vec.power_of_two(weight[at])
         for f in range(first, i):
             weights = areas[f]
             total = vec.times(weights, vec.load(n, f))
@@ -199,7 +198,7 @@ def joint_bilateral(
     result = np.empty_like(normals)
     flat = normals.reshape(-1), guides.reshape(-1), centroids.reshape(-1)
     rows = near_start.view(np.uint64), near.view(np.uint32)
-    factors = -0.5 * LOG2_E / sigma_s**2, -0.5 * LOG2_E / sigma_r**2
+    factors = -0.5 * vec.LOG2_E / sigma_s**2, -0.5 * vec.LOG2_E / sigma_r**2
     known = *flat, areas, *rows, *factors
     over_ranges(_average_jointly, len(normals), *known, result.reshape(-1))
     return result
@@ -311,7 +310,7 @@ def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
             f += ONE
         count = np.uint64(ring_start[f]) - origin
         for at in range(count):
-            weights[at] = shares[origin + at] * power_of_two(weights[at])
+            weights[at] = shares[origin + at] * vec.power_of_two(weights[at])
         for i in range(first, f):
             own, total = vec.load(n, i), vec.ORIGIN
             for at in vec.row_range(ring_start, i):
@@ -370,7 +369,7 @@ def diffused_normals(
     corners = faces.reshape(-1).view(np.uint32)
     shares = np.empty(len(ring))
     over_ranges(_shares, count, vertices.reshape(-1), corners, areas, *rows, time_step, shares)
-    inverse = 0.5 * LOG2_E / max(similarity, MIN_SIMILARITY) ** 2
+    inverse = 0.5 * vec.LOG2_E / max(similarity, MIN_SIMILARITY) ** 2
     spare = np.empty_like(normals)
     for _ in range(steps):
         flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
@@ -401,7 +400,7 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
             alike = vec.dot(vec.load(normals, f), vec.load(normals, ring[at]))
             values[at] = min(0.0, (alike - 1.0) * falloff - values[at])
     for at in range(np.uint64(ring_start[start]), np.uint64(ring_start[stop])):
-        values[at] = power_of_two(values[at])
+        values[at] = vec.power_of_two(values[at])
     for f in range(start, stop):
         total = 0.0
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -480,7 +479,7 @@ def normal_system(
     values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
     totals = np.empty(m)
     rows = ring_start, ring, values
-    falloff = LOG2_E / similarity**2
+    falloff = vec.LOG2_E / similarity**2
     over_ranges(_gaussians, m, normals, relative, falloff, *rows, totals)
     linked = usable & (totals > ALONE)
     inverse = np.where(linked, 1.0 / np.where(linked, totals, 1.0), 0.0)
@@ -516,8 +515,8 @@ def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, 
             j = near[row + at]
             distant[at] = per_distance * vec.square_distance(vec.load(c, j), vec.load(c, i))
             unlike[at] = per_guide * vec.square_distance(vec.load(g, j), vec.load(g, i))
-        exponentials(distant, count)
-        exponentials(unlike, count)
+        vec.exponentials(distant, count)
+        vec.exponentials(unlike, count)
         total = 0.0
         for at in range(count):
             weight = (areas[i] + areas[near[row + at]]) * distant[at]
@@ -561,7 +560,7 @@ def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas
             other = vec.load(n, np.uint64(near[row + at]))
             vec.store(others, at, other)
             kernel[at] = per_difference * vec.square_distance(other, own)
-        exponentials(kernel, count)
+        vec.exponentials(kernel, count)
         total = vec.load(pull, i)
         weights_in_all = abs(total[0]) + abs(total[1]) + abs(total[2])
         for at in range(count):

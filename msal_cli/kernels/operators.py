@@ -23,7 +23,6 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import ring_areas
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
@@ -161,7 +160,7 @@ def _filter_rings(
     room = np.zeros(ROWS + (TWO * apart if is_bilateral else apart))
     lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
     table = np.zeros(chosen + BLOCK, np.uint64)
-    near = 0.5 * LOG2_E / max(closeness, floor) ** 2
+    near = 0.5 * vec.LOG2_E / max(closeness, floor) ** 2
     largest = 0.0
     first = np.uint64(start)
     while first < stop:
@@ -216,7 +215,7 @@ def _filter_rings(
                     scale = np.sqrt(room[factors + at] / max(m, ONE))
                     scale = scale if similarity == 0.0 else similarity
                     scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[factors + at] = 0.5 * vec.LOG2_E / (scale * scale)
                     room[sums + at] = 0.0
                 place = row
                 for _ in range(m):
@@ -229,7 +228,7 @@ def _filter_rings(
                 place = row
                 for _ in range(m):
                     for at in range(width):
-                        g = power_of_two(room[least + at] - room[apart + place + at])
+                        g = vec.power_of_two(room[least + at] - room[apart + place + at])
                         room[weights + at] += g
                         room[sums + at] += g * room[place + at]
                     place += width
@@ -258,14 +257,14 @@ def _filter_rings(
                     scale = 2.0 * room[scales + at] / max(m, ONE)
                     room[scales + at] = scale
                     scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[factors + at] = 0.5 * vec.LOG2_E / (scale * scale)
                     room[sums + at] = 0.0
                 for _ in range(m):
                     for at in range(width):
                         h = room[row + at]
                         # The largest weight is made 1: the quotient of eq. (5) stays the same,
                         # and cannot become 0/0 where sigma is tiny.
-                        g = power_of_two((room[least + at] - h * h) * room[factors + at])
+                        g = vec.power_of_two((room[least + at] - h * h) * room[factors + at])
                         room[weights + at] += g
                         room[sums + at] += g * h
                     row += width
@@ -403,7 +402,7 @@ def _weigh(h, lengths, m, weights, sigma, g):
         for at in range(m):
             # Where the edge has no length the height is zero and the weight is not used.
             g[at] = min((flattest - h[at] * h[at]) * inverse, 0.0)
-        exponentials(g, m)
+        vec.exponentials(g, m)
         return
     if weights == _TUKEY:
         reach = 5.0 * sigma * sigma

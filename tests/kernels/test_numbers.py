@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from msal_cli.kernels import elementary, quantiles
+from msal_cli.kernels import quantiles, vectors
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
@@ -28,15 +28,15 @@ def test_student():
 
 def computed(values):
     values = np.array(values, dtype=np.float64)
-    elementary.exponentials(values, len(values))
+    vectors.exponentials(values, len(values))
     return values
 
 
 def powers(exponents):
-    return np.array([elementary.power_of_two(float(exponent)) for exponent in exponents])
+    return np.array([vectors.power_of_two(float(exponent)) for exponent in exponents])
 
 
-@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, elementary.MIN_POWER])
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, vectors.MIN_POWER])
 def test_within_two_ulp(low):
     exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
     exact = np.exp2(exponents)
@@ -55,7 +55,7 @@ def test_any_list_gives_what_single_numbers_give(values):
 
 
 def test_whole_powers_of_two_are_exact():
-    whole = np.arange(elementary.MIN_POWER, 1.0)
+    whole = np.arange(vectors.MIN_POWER, 1.0)
     assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
 
 
@@ -66,5 +66,5 @@ LENGTHS = st.floats(0.0, 1e6)
 def test_it_is_that_of_the_library(pairs):
     y, x = np.array(pairs).T.copy()
     expected = np.arctan2(y, x)
-    elementary.arctangents(y, x, len(y))
+    vectors.arctangents(y, x, len(y))
     assert np.abs(y - expected).max() <= 4e-16 * np.pi
