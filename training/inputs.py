@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from kernel_build.numba_kernels import to_dispatcher
 from msal_cli.kernels.lanes import LANES
 from msal_cli.kernels.library import compiled
-from msal_cli.kernels.near_blocks import GUIDES, R1
-from msal_cli.kernels.normal_descriptors import CHUNK, NUMBERS, S1, SUMS, lay_inputs
+from msal_cli.kernels.normal_descriptors import NUMBERS, S1, lay_inputs, memory_for_inputs
 from msal_cli.kernels.normal_regression import GLOBALS, STATISTICS, Descriptors
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.vectors import ONE, ZERO, longest_row
+from msal_cli.kernels.vectors import ZERO
 
 Singles = NDArray[np.float32]
 
@@ -54,19 +53,13 @@ def _collect(
 ):
     """The inputs (m, n_in) and the vectors (m, 3 k) of all faces, for training."""
     of = points, units, unit, near_start, near, known, records, statistics, others
-    widest = longest_row(start, stop, near_start) + ONE
-    faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
-    block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
-    counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
-    sums = np.empty(np.int64(SUMS), dtype=np.float32)
+    memory = memory_for_inputs(start, stop, near_start)
     n_in, n_vectors = np.uint64(inputs.shape[1]), np.uint64(vectors.shape[1])
     of_vectors = np.empty(np.int64(S1 * n_vectors), dtype=np.float32)
     x = np.empty(np.int64(S1 * n_in), dtype=np.float32)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        lay_inputs(
-            first, last, ZERO, of, is_later, faces, counts, scales, block, sums, of_vectors, x
-        )
+        lay_inputs(first, last, ZERO, of, is_later, memory, of_vectors, x)
         for lane in range(min(LANES, last - first)):
             for k in range(n_in):
                 inputs[first + lane, k] = x[k * S1 + lane]

@@ -8,7 +8,7 @@ normal, and a zero vector takes its place.
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Floats32, Ints
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.library import compiled
@@ -47,8 +47,7 @@ def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
         a, b, c = vec.load(faces, f)
         normal, doubled = doubled_area_normal(vertices, a, b, c)
         vec.store(normals, f, normal)
-        if len(doubled_areas):
-            doubled_areas[f] = doubled
+        doubled_areas[f] = doubled
 
 
 def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Floats]:
@@ -69,12 +68,6 @@ def usable_areas(normals: Floats, areas: Floats) -> Floats:
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
     """Unit face normals (m, 3), zeros for degenerate faces."""
     return face_normals_and_areas(vertices, faces)[0]
-
-
-def lay_face_normals(vertices: Floats, faces: Ints, rows: Floats32, column: int) -> None:
-    """Write unit face normals, zeros for degenerate faces, to ``rows`` (m, k) from a column on."""
-    normals = rows[:, column : column + 3]
-    over_ranges(_face_normals, len(faces), vertices, faces, normals, np.empty(0))
 
 
 @compiled

@@ -11,59 +11,36 @@ where the guides g are the normals themselves or some that were filtered before:
 whose Gaussians are replaced by biweights, which need no exponential and end where the
 neighbourhood does.  Planes are fitted to the centroids with the same weights: with C their
 covariance, the plane that fits the heights along b best has the normal C^-1 b, up to its length.
+
+Sums over the neighbours of one face are too short for vector code.  So the sums of eight faces are
+made at a time: lanes are faces (``lanes``), and in a block what belongs to the k-th neighbour of
+each is in a row.  No sum goes across lanes, so that no bit depends on the block, the lane or the
+thread that a face falls to.  A vector is three lanes.
 """
 
 import numpy as np
 
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.lanes import (
     LANES,
     choose_greater,
     fill_lanes,
+    has_greater,
     load_columns,
     load_lanes,
+    load_offsets,
     load_rows,
     root,
     store_lanes,
 )
 from msal_cli.kernels.library import compiled
-from msal_cli.kernels.near_blocks import (
-    ENTRY,
-    FOUR,
-    GUIDES,
-    R1,
-    R2,
-    R3,
-    R4,
-    R6,
-    R7,
-    R10,
-    R13,
-    R16,
-    RECORD,
-    add_narrow,
-    add_pair,
-    add_plane,
-    add_ranges,
-    add_scatter,
-    add_skews,
-    add_tensor,
-    find_axes,
-    fit_plane,
-    lay_guides,
-    lay_neighbours,
-    list_neighbours,
-    normalise,
-    turn_axis,
-)
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row
+
+NARROW, WIDE = 1.45, 2.7
+"""The reaches of both weights, in local units."""
 
 WIDE_RANGES = (0.4, 0.7, 1.2)
 """Ranges s of the differences between unit normals; one more mean has all of them."""
-
-_0, _1 = np.float32(0.0), np.float32(1.0)
-_TINY = np.float32(1e-30)
-_WIDE_1, _WIDE_2, _WIDE_3 = (np.float32(1.0 / s**2) for s in WIDE_RANGES)
-
 
 VECTORS = 14
 """Unit vectors of a face, beside those of other filters and of earlier stages: its own normal; the
@@ -82,8 +59,22 @@ area, each over itself plus the mean; the four ripples, their means among those 
 DEVIATION = 5
 """The place of the deviation from the plane."""
 
-_FIRST, _SECOND, _THIRD, _FOURTH = (np.float32(1.0 / s**2) for s in (0.25, 0.5, 0.3, 0.6))
-_PER_MOST = np.float32(1.0 / 64.0)
+R1, R2, R3, R4, R6, R7, R8, R9, R10, R13, R16, R19 = (
+    LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 6, 7, 8, 9, 10, 13, 16, 19)
+)
+"""What so many rows of lanes take."""
+
+OFFSET, NORMAL, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = ZERO, R3, R6, R7, R8
+"""The rows of lanes that a neighbour has in a block; offset and normal have three."""
+
+ENTRY = R9
+"""What a neighbour takes in a block."""
+
+GUIDES = R19
+"""What a neighbour takes in a block of ``_lay_guides``: a weight, and six vectors."""
+
+RECORD = np.uint64(24)
+"""Numbers of a face that ``_lay_guides`` reads."""
 
 KNOWN = np.uint64(36)
 """Numbers of a face that ``describe`` writes down and only the face itself needs: the vectors up to
@@ -94,6 +85,13 @@ AXES, OWN_NUMBERS = 15, 24
 
 CHUNK = np.uint64(8)
 """Neighbours of eight faces that are filtered at a time: they fit a first-level cache."""
+
+_0, _1, _2, _MINUS = (np.float32(number) for number in (0.0, 1.0, 2.0, -1.0))
+_TINY, _SMALL, _EVEN = np.float32(1e-30), np.float32(1e-24), np.float32(1e-4)
+_RATIO = np.float32((WIDE / NARROW) ** 2)
+_WIDE_1, _WIDE_2, _WIDE_3 = (np.float32(1.0 / s**2) for s in WIDE_RANGES)
+_FIRST, _SECOND, _THIRD, _FOURTH = (np.float32(1.0 / s**2) for s in (0.25, 0.5, 0.3, 0.6))
+_PER_MOST = np.float32(1.0 / 64.0)
 
 PAIRS = (
     (R4, R1, _FIRST, _SECOND),
@@ -109,7 +107,7 @@ SUMS = R6 * np.uint64(1 + len(PAIRS))
 """What the sums of a block take."""
 
 _OTHERS = np.uint64(3 * 4)
-_FIVE, _TEN, _TWELVE = np.uint64(5), np.uint64(10), np.uint64(12)
+FOUR, _FIVE, _TEN, _TWELVE = np.uint64(4), np.uint64(5), np.uint64(10), np.uint64(12)
 _SCATTER, _UNIT, _TO_RECORD = np.uint64(33), np.uint64(35), KNOWN * R1
 _OWN_NUMBERS = np.uint64(OWN_NUMBERS)
 
@@ -118,6 +116,364 @@ FACES = np.uint64(32)
 
 S1, S2, S3 = (FACES * np.uint64(rows) for rows in range(1, 4))
 """What so many rows of them take."""
+
+
+@compiled
+def _load_vector(block, at):
+    return load_lanes(block, at), load_lanes(block, at + R1), load_lanes(block, at + R2)
+
+
+@compiled
+def _store_vector(block, at, vector):
+    store_lanes(block, at, vector[0])
+    store_lanes(block, at + R1, vector[1])
+    store_lanes(block, at + R2, vector[2])
+
+
+@compiled
+def _zeros():
+    """A vector of zeros."""
+    return fill_lanes(_0), fill_lanes(_0), fill_lanes(_0)
+
+
+@compiled
+def _choose(a, b, yes, no):
+    """The vector ``yes`` in the lanes where a > b, else ``no``."""
+    return (
+        choose_greater(a, b, yes[0], no[0]),
+        choose_greater(a, b, yes[1], no[1]),
+        choose_greater(a, b, yes[2], no[2]),
+    )
+
+
+@compiled
+def _greater(a, b):
+    """The greater numbers of two."""
+    return choose_greater(a, b, a, b)
+
+
+@compiled
+def _biweigh(weight, square, per_square):
+    """w (1 - d^2 / R^2)^2, zero beyond the reach, or range, of which ``per_square`` is 1 / R^2."""
+    part = _greater(fill_lanes(_1) - square * per_square, fill_lanes(_0))
+    return weight * part * part
+
+
+@compiled
+def _normalise(vector, kept, least):
+    """The unit vector of one; ``kept`` where its square is no more than ``least``."""
+    square, bound, one = vec.dot(vector, vector), fill_lanes(least), fill_lanes(_1)
+    per_length = one / root(choose_greater(square, bound, square, one))
+    return _choose(square, bound, vec.times(per_length, vector), kept)
+
+
+# Faces near others, side by side
+
+
+@compiled
+def _list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales):
+    """List the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
+
+    The first row of ``faces`` is the faces themselves, which also fill lanes without a k-th
+    neighbour; ``counts`` (8,) gets the numbers of neighbours, ``scales`` (8,) one over WIDE local
+    units, of which each face has its own, ``unit`` where that is zero.
+    """
+    rows = ONE
+    for lane in range(LANES):
+        f = first + lane if first + lane < last else last - ONE
+        rows = max(rows, near_start[f + ONE] - near_start[f] + ONE)
+    for lane in range(LANES):
+        f = first + lane if first + lane < last else last - ONE
+        row, end = near_start[f], near_start[f + ONE]
+        counts[lane] = np.float32(end - row)
+        scales[lane] = 1.0 / ((units[f] if units[f] > 0.0 else unit) * WIDE)
+        faces[lane] = f
+        place = R1 + lane
+        for entry in range(row, end):
+            faces[place] = near[entry]
+            place += R1
+        for _ in range(end - row + ONE, rows):
+            faces[place] = f
+            place += R1
+    return rows
+
+
+@compiled
+def _lay_neighbours(rows, points, marks, faces, counts, scales, block):
+    """Lay offsets, normals and weights of both reaches of the listed ``faces`` side by side.
+
+    ``points`` are the centroids, ``marks`` normals and areas (m, 4), flat; see ``lanes``.  Beside
+    them is |n_i - n_j|^2.  Returns the number of rows after which no narrow weight is above zero.
+    """
+    zero, one, ratio = fill_lanes(_0), fill_lanes(_1), fill_lanes(_RATIO)
+    last, own = load_lanes(counts, ZERO), load_rows(faces, ZERO)
+    own_mark = load_columns(marks, own, FOUR, ZERO)
+    narrow_rows = ONE
+    for k in range(rows):
+        near = load_rows(faces, k * R1)
+        offset = load_offsets(points, own, near, scales)
+        mark = load_columns(marks, near, FOUR, ZERO)
+        area = choose_greater(fill_lanes(np.float32(k)), last, zero, mark[3])
+        square = vec.dot(offset, offset)
+        close = _biweigh(area, square, ratio)
+        at = k * ENTRY
+        _store_vector(block, at + OFFSET, offset)
+        _store_vector(block, at + NORMAL, mark)
+        store_lanes(block, at + NARROW_WEIGHT, close)
+        store_lanes(block, at + WIDE_WEIGHT, _biweigh(area, square, one))
+        store_lanes(block, at + JUMP, vec.square_distance(mark, own_mark))
+        if has_greater(close, zero):
+            narrow_rows = k + ONE
+    return narrow_rows
+
+
+@compiled
+def _lay_guides(row, stop, begin, points, records, is_later, memory):
+    """Lay the wide weights of ``_lay_neighbours`` and what is filtered jointly side by side.
+
+    They are those of the neighbours from ``row`` to ``stop``, in the block from ``begin`` on.
+    ``records`` has RECORD numbers of each face: six vectors, of which two are there ``is_later``,
+    and behind each a number: the area, then the scatter and the ripples.  The vectors stand behind
+    the weight.  The numbers are added to the first six rows of the sums.
+    """
+    faces, counts, scales, block, sums = memory
+    zero, one = fill_lanes(_0), fill_lanes(_1)
+    last, own = load_lanes(counts, ZERO), load_rows(faces, ZERO)
+    areas, scatter, first = _load_vector(sums, ZERO)
+    second, third, fourth = _load_vector(sums, R3)
+    at = begin
+    for k in range(row, stop):
+        near, past = load_rows(faces, k * R1), fill_lanes(np.float32(k))
+        offset = load_offsets(points, own, near, scales)
+        part = load_columns(records, near, RECORD, ZERO)
+        area = choose_greater(past, last, zero, part[3])
+        areas = areas + area
+        store_lanes(block, at, _biweigh(area, vec.dot(offset, offset), one))
+        _store_vector(block, at + R1, part)
+        part = load_columns(records, near, RECORD, FOUR)
+        _store_vector(block, at + R4, part)
+        scatter = scatter + choose_greater(past, last, zero, part[3])
+        part = load_columns(records, near, RECORD, FOUR * TWO)
+        _store_vector(block, at + R7, part)
+        first = first + choose_greater(past, last, zero, part[3])
+        part = load_columns(records, near, RECORD, FOUR * THREE)
+        _store_vector(block, at + R10, part)
+        second = second + choose_greater(past, last, zero, part[3])
+        part = load_columns(records, near, RECORD, FOUR * FOUR)
+        third = third + choose_greater(past, last, zero, part[3])
+        if is_later:
+            _store_vector(block, at + R13, part)
+        part = load_columns(records, near, RECORD, RECORD - FOUR)
+        fourth = fourth + choose_greater(past, last, zero, part[3])
+        if is_later:
+            _store_vector(block, at + R16, part)
+        at += GUIDES
+    _store_vector(sums, ZERO, (areas, scatter, first))
+    _store_vector(sums, R3, (second, third, fourth))
+
+
+# Sums over them
+
+
+@compiled
+def _add_narrow(rows, block):
+    """Sums of w and w n with the narrow weights."""
+    total, normals = fill_lanes(_0), _zeros()
+    for k in range(rows):
+        at = k * ENTRY
+        w = load_lanes(block, at + NARROW_WEIGHT)
+        total = total + w
+        normals = vec.add_scaled(normals, w, _load_vector(block, at + NORMAL))
+    return total, normals
+
+
+@compiled
+def _add_ranges(rows, per_1, per_2, block):
+    """Sums of w and w n with the wide weights for two ranges, given by 1 / s^2; 0 for all."""
+    first, second = fill_lanes(per_1), fill_lanes(per_2)
+    a_total, a_normals = fill_lanes(_0), _zeros()
+    b_total, b_normals = fill_lanes(_0), _zeros()
+    for k in range(rows):
+        at = k * ENTRY
+        normal = _load_vector(block, at + NORMAL)
+        w, jump = load_lanes(block, at + WIDE_WEIGHT), load_lanes(block, at + JUMP)
+        a, b = _biweigh(w, jump, first), _biweigh(w, jump, second)
+        a_total, a_normals = a_total + a, vec.add_scaled(a_normals, a, normal)
+        b_total, b_normals = b_total + b, vec.add_scaled(b_normals, b, normal)
+    return a_total, a_normals, b_total, b_normals
+
+
+@compiled
+def _add_products(tensor, u, v):
+    """A symmetric ``tensor``, the lanes xx, xy, xz, yy, yz, zz, plus u v^T."""
+    xx, xy, xz, yy, yz, zz = tensor
+    xx, xy, xz = xx + u[0] * v[0], xy + u[0] * v[1], xz + u[0] * v[2]
+    return xx, xy, xz, yy + u[1] * v[1], yz + u[1] * v[2], zz + u[2] * v[2]
+
+
+@compiled
+def _add_tensor(rows, block):
+    """Sums of w n n^T with the wide weights."""
+    zero = fill_lanes(_0)
+    tensor = zero, zero, zero, zero, zero, zero
+    for k in range(rows):
+        at = k * ENTRY
+        normal, w = _load_vector(block, at + NORMAL), load_lanes(block, at + WIDE_WEIGHT)
+        tensor = _add_products(tensor, vec.times(w, normal), normal)
+    return tensor
+
+
+@compiled
+def _add_skews(rows, a, b, c, block):
+    """Sums of w (n . e)^3 for each of three axes e."""
+    first = second = third = fill_lanes(_0)
+    for k in range(rows):
+        at = k * ENTRY
+        normal, w = _load_vector(block, at + NORMAL), load_lanes(block, at + WIDE_WEIGHT)
+        p, q, r = vec.dot(normal, a), vec.dot(normal, b), vec.dot(normal, c)
+        first, second = first + w * p * p * p, second + w * q * q * q
+        third = third + w * r * r * r
+    return first, second, third
+
+
+@compiled
+def _add_scatter(rows, mean, block):
+    """The greatest |n - mean|^2 within the narrow reach, and the sum by weight."""
+    zero = fill_lanes(_0)
+    greatest = total = zero
+    for k in range(rows):
+        at = k * ENTRY
+        w = load_lanes(block, at + NARROW_WEIGHT)
+        square = vec.square_distance(_load_vector(block, at + NORMAL), mean)
+        greatest = _greater(choose_greater(w, zero, square, zero), greatest)
+        total = total + w * square
+    return greatest, total
+
+
+@compiled
+def _add_plane(rows, per_range, block):
+    """Sums of w, w d and w d d^T with the wide weights; ``per_range`` 0: all ranges."""
+    zero, per_square = fill_lanes(_0), fill_lanes(per_range)
+    total, offsets, tensor = zero, _zeros(), (zero, zero, zero, zero, zero, zero)
+    for k in range(rows):
+        at = k * ENTRY
+        offset = _load_vector(block, at + OFFSET)
+        jump = load_lanes(block, at + JUMP)
+        w = _biweigh(load_lanes(block, at + WIDE_WEIGHT), jump, per_square)
+        weighted = vec.times(w, offset)
+        total, offsets = total + w, vec.add(offsets, weighted)
+        tensor = _add_products(tensor, weighted, offset)
+    return total, offsets, tensor
+
+
+@compiled
+def _fit_plane(sums, base):
+    """Unit normals of planes that fit heights along the vectors ``base``; ``sums`` of
+    ``_add_plane``.
+
+    Also the mean square and the own height off the plane, and how far the mean centroid is off
+    within it, squared; in reaches.
+    """
+    total, offsets, (xx, xy, xz, yy, yz, zz) = sums
+    even = fill_lanes(_EVEN)
+    per_weight = fill_lanes(_1) / _greater(total, fill_lanes(_TINY))
+    mean = vec.times(per_weight, offsets)
+    mx, my, mz = mean
+    xx = xx * per_weight - mx * mx + even
+    xy = xy * per_weight - mx * my
+    xz = xz * per_weight - mx * mz
+    yy = yy * per_weight - my * my + even
+    yz = yz * per_weight - my * mz
+    zz = zz * per_weight - mz * mz + even
+    # The cofactors of C times b: the direction of C^-1 b without a division.
+    x = vec.dot((yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy), base)
+    y = vec.dot((xz * yz - xy * zz, xx * zz - xz * xz, xy * xz - xx * yz), base)
+    z = vec.dot((xy * yz - xz * yy, xy * xz - xx * yz, xx * yy - xy * xy), base)
+    normal = _normalise((x, y, z), base, _SMALL)
+    height = vec.dot(mean, normal)
+    rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    along = vec.dot(rows[0], normal), vec.dot(rows[1], normal), vec.dot(rows[2], normal)
+    off = vec.dot(mean, mean) - height * height
+    return normal, vec.dot(normal, along), height, _greater(off, fill_lanes(_0))
+
+
+@compiled
+def _add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place):
+    """Add w n for two ranges of the differences of guides to the six rows of ``sums`` at ``place``.
+
+    They are those of the neighbours in ``block``, of ``_lay_guides``, from ``begin`` to ``end``;
+    the first one in it is the face itself.  ``guide`` and ``normal`` are the places of vectors.
+    """
+    first, second = fill_lanes(per_1), fill_lanes(per_2)
+    own = _load_vector(block, guide)
+    a, b = _load_vector(sums, place), _load_vector(sums, place + R3)
+    for at in range(begin, end, GUIDES):
+        jump = vec.square_distance(_load_vector(block, at + guide), own)
+        other, w = _load_vector(block, at + normal), load_lanes(block, at)
+        a = vec.add_scaled(a, _biweigh(w, jump, first), other)
+        b = vec.add_scaled(b, _biweigh(w, jump, second), other)
+    _store_vector(sums, place, a)
+    _store_vector(sums, place + R3, b)
+
+
+# Eigenvectors of eight symmetric 3 x 3 matrices at once, by Jacobi's rotations.
+
+SWEEPS = 4
+"""Rounds of three rotations: what is left beside the diagonal is below single precision."""
+
+
+@compiled
+def _find_axes(tensor):
+    """Unit eigenvectors and eigenvalues, greatest first, of a ``tensor`` xx, xy, xz, yy, yz, zz."""
+    xx, xy, xz, yy, yz, zz = tensor
+    zero, one = fill_lanes(_0), fill_lanes(_1)
+    a, b, c = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    for _ in range(SWEEPS):
+        xx, yy, xy, xz, yz, a, b = _rotate(xx, yy, xy, xz, yz, a, b)
+        xx, zz, xz, xy, yz, a, c = _rotate(xx, zz, xz, xy, yz, a, c)
+        yy, zz, yz, xy, xz, b, c = _rotate(yy, zz, yz, xy, xz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    yy, zz, b, c = _sort(yy, zz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    return a, b, c, xx, yy, zz
+
+
+@compiled
+def _rotate(p, q, off, rest_p, rest_q, first, second):
+    """One rotation of two axes, by the smaller angle that makes ``off`` zero.
+
+    ``p`` and ``q`` are their entries of the diagonal, ``off`` is the one of both, ``rest_p`` and
+    ``rest_q`` those with the third axis.
+    """
+    zero, one, minus = fill_lanes(_0), fill_lanes(_1), fill_lanes(_MINUS)
+    gap = q - p
+    size = choose_greater(zero, gap, gap * minus, gap)
+    double = fill_lanes(_2) * off
+    t = double / (size + root(gap * gap + double * double) + fill_lanes(_TINY))
+    t = choose_greater(zero, gap, t * minus, t)
+    c = one / root(one + t * t)
+    s = t * c
+    change = t * off
+    rests = c * rest_p - s * rest_q, s * rest_p + c * rest_q
+    turned = vec.subtract(vec.times(c, first), vec.times(s, second))
+    second = vec.add(vec.times(s, first), vec.times(c, second))
+    return p - change, q + change, zero, rests[0], rests[1], turned, second
+
+
+@compiled
+def _sort(p, q, first, second):
+    """Two eigenvalues and their axes, the greater first."""
+    greater, less = choose_greater(q, p, q, p), choose_greater(q, p, p, q)
+    return greater, less, _choose(q, p, second, first), _choose(q, p, first, second)
+
+
+@compiled
+def _turn_axis(skew, axis):
+    """The axis, turned round where ``skew`` is negative."""
+    return _choose(fill_lanes(_0), skew, vec.times(fill_lanes(_MINUS), axis), axis)
+
+
+# What is known, and the inputs of a network
 
 
 @compiled
@@ -136,12 +492,12 @@ def describe(
     known,
     records,
 ):
-    """Fill in what is known of each face, (m, KNOWN), and its record, see ``lay_guides``.
+    """Fill in what is known of each face, (m, KNOWN), and its record, see ``_lay_guides``.
 
     The vectors of records are the normal, two means, the first of the ``others``, and two that are
     there before; their numbers are the area, the scatter, and means of the ``ripples`` (n, 4) of
     the corners of ``faces`` in the unit of the face.  Its own of the ``units`` counts over itself
-    plus their mean, ``unit``.  Arrays are flat; see ``lay_neighbours``.
+    plus their mean, ``unit``.  Arrays are flat; see ``_lay_neighbours``.
     """
     widest = longest_row(start, stop, near_start) + ONE
     listed = np.empty(np.int64(widest * R1), dtype=np.uint32)
@@ -150,8 +506,8 @@ def describe(
     found = np.empty(np.int64(_TO_RECORD + R6), dtype=np.float32)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        rows = list_neighbours(first, last, near_start, near, units, unit, listed, counts, scales)
-        close = lay_neighbours(rows, points, marks, listed, counts, scales, block)
+        rows = _list_neighbours(first, last, near_start, near, units, unit, listed, counts, scales)
+        close = _lay_neighbours(rows, points, marks, listed, counts, scales, block)
         _describe_block(rows, close, marks, listed, counts, block, found)
         for f in range(first, min(first + LANES, last)):
             own, to, lane = KNOWN * f, RECORD * f, f - first
@@ -165,7 +521,7 @@ def describe(
                 records[to + THREE * FOUR + k] = others[_OTHERS * f + k]
             records[to + THREE] = marks[FOUR * f + THREE]
             records[to + THREE + FOUR] = known[own + _SCATTER]
-            a, b, c = faces[THREE * f], faces[THREE * f + ONE], faces[THREE * f + TWO]
+            a, b, c = vec.load(faces, f)
             per_unit = 1.0 / (3.0 * units[f]) if units[f] > 0.0 else 0.0
             for k in range(FOUR):
                 value = (ripples[a, k] + ripples[b, k] + ripples[c, k]) * per_unit
@@ -175,56 +531,55 @@ def describe(
 
 
 @compiled
-def _store_vector(vectors, place, vector):
-    """Write three lanes as the vector of that place."""
-    at = np.uint64(place) * R3
-    store_lanes(vectors, at, vector[0])
-    store_lanes(vectors, at + R1, vector[1])
-    store_lanes(vectors, at + R2, vector[2])
-
-
-@compiled
 def _describe_block(rows, close, marks, faces, counts, block, found):
     """What is known of the faces of a block, of which ``close`` rows are within the narrow reach,
     and two vectors for their records."""
-    x, y, z, _ = load_columns(marks, load_rows(faces, ZERO), FOUR, ZERO)
-    own = (x, y, z)
-    narrow, x, y, z = add_narrow(close, block)
-    mean = normalise((x, y, z), own)
-    _store_vector(found, 0, mean)
-    first, x, y, z, second, bx, by, bz = add_ranges(rows, _WIDE_1, _WIDE_2, block)
-    _store_vector(found, 1, normalise((x, y, z), own))
-    base = normalise((bx, by, bz), own)
-    _store_vector(found, 12, base)
-    third, x, y, z, wide, bx, by, bz = add_ranges(rows, _WIDE_3, _0, block)
-    _store_vector(found, 2, normalise((x, y, z), own))
-    _store_vector(found, 13, normalise((bx, by, bz), own))
-    normal, deviation, height, off = fit_plane(add_plane(rows, _0, block), base)
-    _store_vector(found, 3, normal)
-    normal, _, _, _ = fit_plane(add_plane(rows, _WIDE_2, block), base)
-    _store_vector(found, 4, normal)
-    a, b, c, _, middle, least = find_axes(add_tensor(rows, block))
-    skews = add_skews(rows, (*a, *b, *c), block)
-    _store_vector(found, 5, turn_axis(skews[0], a))
-    _store_vector(found, 6, turn_axis(skews[1], b))
-    _store_vector(found, 7, turn_axis(skews[2], c))
-    greatest, scatter = add_scatter(close, mean, block)
+    own = load_columns(marks, load_rows(faces, ZERO), FOUR, ZERO)
+    narrow, normals = _add_narrow(close, block)
+    mean = _normalise(normals, own, _TINY)
+    _store_vector(found, ZERO, mean)
+    first, a_normals, second, b_normals = _add_ranges(rows, _WIDE_1, _WIDE_2, block)
+    _store_vector(found, R3, _normalise(a_normals, own, _TINY))
+    base = _normalise(b_normals, own, _TINY)
+    _store_vector(found, _TO_RECORD, base)
+    third, a_normals, wide, b_normals = _add_ranges(rows, _WIDE_3, _0, block)
+    _store_vector(found, TWO * R3, _normalise(a_normals, own, _TINY))
+    _store_vector(found, _TO_RECORD + R3, _normalise(b_normals, own, _TINY))
+    normal, deviation, height, off = _fit_plane(_add_plane(rows, _0, block), base)
+    _store_vector(found, THREE * R3, normal)
+    normal, _, _, _ = _fit_plane(_add_plane(rows, _WIDE_2, block), base)
+    _store_vector(found, FOUR * R3, normal)
+    a, b, c, _, middle, least = _find_axes(_add_tensor(rows, block))
+    skews = _add_skews(rows, a, b, c, block)
+    at = np.uint64(AXES) * R1
+    _store_vector(found, at, _turn_axis(skews[0], a))
+    _store_vector(found, at + R3, _turn_axis(skews[1], b))
+    _store_vector(found, at + R6, _turn_axis(skews[2], c))
+    greatest, scatter = _add_scatter(close, mean, block)
     zero, one, tiny = fill_lanes(_0), fill_lanes(_1), fill_lanes(_TINY)
-    narrow = one / choose_greater(narrow, tiny, narrow, tiny)
-    wide = one / choose_greater(wide, tiny, wide, tiny)
-    middle, least = middle * wide, least * wide
-    _store_vector(found, 8, (first * wide, second * wide, third * wide))
-    middle = root(choose_greater(middle, zero, middle, zero))
-    least = root(choose_greater(least, zero, least, zero))
-    deviation = root(choose_greater(deviation, zero, deviation, zero))
-    _store_vector(found, 9, (middle, least, deviation))
+    narrow, wide = one / _greater(narrow, tiny), one / _greater(wide, tiny)
+    at = _OWN_NUMBERS * R1
+    _store_vector(found, at, vec.times(wide, (first, second, third)))
+    middle, least = root(_greater(middle * wide, zero)), root(_greater(least * wide, zero))
+    _store_vector(found, at + R3, (middle, least, root(_greater(deviation, zero))))
     near_share = load_lanes(counts, ZERO) * fill_lanes(_PER_MOST)
-    _store_vector(found, 10, (height, root(off), near_share))
+    _store_vector(found, at + R6, (height, root(off), near_share))
     store_lanes(found, _SCATTER * R1, root(root(greatest * (scatter * narrow))))
 
 
 @compiled
-def lay_inputs(first, last, group, of, is_later, faces, counts, scales, block, sums, vectors, x):
+def memory_for_inputs(start, stop, near_start):
+    """What ``lay_inputs`` works in for these faces: their neighbours, their counts and scales, the
+    block, its sums."""
+    widest = longest_row(start, stop, near_start) + ONE
+    faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
+    counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
+    block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
+    return faces, counts, scales, block, np.empty(np.int64(SUMS), dtype=np.float32)
+
+
+@compiled
+def lay_inputs(first, last, group, of, is_later, memory, vectors, x):
     """Put the inputs and the vectors of the faces ``first`` to ``last``, eight at most, side by
     side.
 
@@ -237,10 +592,11 @@ def lay_inputs(first, last, group, of, is_later, faces, counts, scales, block, s
         ``records``, from ``describe``; ``statistics`` (m, 5); ``others`` (m, 12), four vectors of
         each face; flat.
     is_later : whether vectors of earlier stages are in the records.
-    faces, counts, scales, block, sums : memory.
+    memory : of ``memory_for_inputs``.
     """
     points, units, unit, near_start, near, known, records, statistics, others = of
-    rows = list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales)
+    faces, counts, scales, block, sums = memory
+    rows = _list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales)
     for at in range(ZERO, SUMS, LANES):
         store_lanes(sums, at, fill_lanes(_0))
     for row in range(ZERO, rows, CHUNK):
@@ -248,64 +604,59 @@ def lay_inputs(first, last, group, of, is_later, faces, counts, scales, block, s
         # The face itself stays in the first place.
         begin = GUIDES if row else ZERO
         end = begin + (stop - row) * GUIDES
-        lay_guides(row, stop, begin, points, records, is_later, faces, counts, scales, block, sums)
+        _lay_guides(row, stop, begin, points, records, is_later, memory)
         for pair in range(5 if is_later else 4):
             guide, normal, per_1, per_2 = PAIRS[pair]
             place = R6 * np.uint64(1 + pair)
-            add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place)
+            _add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place)
     ids = load_rows(faces, ZERO)
-    nx, ny, nz, px = load_columns(known, ids, KNOWN, ZERO)
-    py, pz, qx, qy = load_columns(known, ids, KNOWN, FOUR)
-    qz, rx, ry, rz = load_columns(known, ids, KNOWN, FOUR * TWO)
-    sx, sy, sz, ax = load_columns(known, ids, KNOWN, FOUR * THREE)
-    ay, az, bx, by = load_columns(known, ids, KNOWN, FOUR * FOUR)
-    bz, cx, cy, cz = load_columns(known, ids, KNOWN, FOUR * _FIVE)
-    own = (ax, ay, az), (bx, by, bz), (cx, cy, cz)
-    to = group
-    to = _store_seen(_load(block, R1), own, vectors, x, to)
-    to = _store_seen((nx, ny, nz), own, vectors, x, to)
-    to = _store_seen((px, py, pz), own, vectors, x, to)
-    to = _store_seen(_load(block, R4), own, vectors, x, to)
-    to = _store_seen((qx, qy, qz), own, vectors, x, to)
-    to = _store_seen(_load(block, R7), own, vectors, x, to)
-    to = _store_seen((rx, ry, rz), own, vectors, x, to)
-    to = _store_seen((sx, sy, sz), own, vectors, x, to)
+    axes = _load_known(known, ids, 5), _load_known(known, ids, 6), _load_known(known, ids, 7)
+    own = _load_vector(block, R1)
+    to = _store_seen(own, axes, vectors, x, group)
+    to = _store_seen(_load_known(known, ids, 0), axes, vectors, x, to)
+    to = _store_seen(_load_known(known, ids, 1), axes, vectors, x, to)
+    to = _store_seen(_load_vector(block, R4), axes, vectors, x, to)
+    to = _store_seen(_load_known(known, ids, 2), axes, vectors, x, to)
+    to = _store_seen(_load_vector(block, R7), axes, vectors, x, to)
+    to = _store_seen(_load_known(known, ids, 3), axes, vectors, x, to)
+    to = _store_seen(_load_known(known, ids, 4), axes, vectors, x, to)
     for pair in range(3):
-        to = _store_pair(pair, block, sums, own, vectors, x, to)
-    to = _store_others(others, ids, _load(block, R1), own, vectors, x, to)
-    to = _store_pair(3, block, sums, own, vectors, x, to)
+        to = _store_pair(pair, block, sums, axes, vectors, x, to)
+    to = _store_others(others, ids, own, axes, vectors, x, to)
+    to = _store_pair(3, block, sums, axes, vectors, x, to)
     if is_later:
-        to = _store_seen(_load(block, R13), own, vectors, x, to)
-        to = _store_seen(_load(block, R16), own, vectors, x, to)
-        to = _store_pair(4, block, sums, own, vectors, x, to)
+        to = _store_seen(_load_vector(block, R13), axes, vectors, x, to)
+        to = _store_seen(_load_vector(block, R16), axes, vectors, x, to)
+        to = _store_pair(4, block, sums, axes, vectors, x, to)
     _lay_numbers(known, records, statistics, ids, counts, sums, x, to)
 
 
 @compiled
-def _load(block, at):
-    return load_lanes(block, at), load_lanes(block, at + R1), load_lanes(block, at + R2)
+def _load_known(known, ids, place):
+    """The vectors of that place among what is known of faces."""
+    x, y, z, _ = load_columns(known, ids, KNOWN, THREE * np.uint64(place))
+    return x, y, z
 
 
 @compiled
 def _store_seen(vector, axes, vectors, x, to):
     """Write a vector, and as three inputs what it is along the axes; where the next one goes."""
-    vx, vy, vz = vector
-    store_lanes(vectors, to, vx)
-    store_lanes(vectors, to + S1, vy)
-    store_lanes(vectors, to + S2, vz)
+    store_lanes(vectors, to, vector[0])
+    store_lanes(vectors, to + S1, vector[1])
+    store_lanes(vectors, to + S2, vector[2])
     for axis in range(3):
-        ax, ay, az = axes[axis]
-        store_lanes(x, to, vx * ax + vy * ay + vz * az)
+        store_lanes(x, to, vec.dot(vector, axes[axis]))
         to += S1
     return to
 
 
 @compiled
 def _store_pair(pair, block, sums, axes, vectors, x, to):
-    """Write the normals of two ranges that ``add_pair`` has added up."""
-    kept, place = _load(block, PAIRS[pair][1]), R6 * np.uint64(1 + pair)
-    to = _store_seen(normalise(_load(sums, place), kept), axes, vectors, x, to)
-    return _store_seen(normalise(_load(sums, place + R3), kept), axes, vectors, x, to)
+    """Write the normals of two ranges that ``_add_pair`` has added up."""
+    kept, place = _load_vector(block, PAIRS[pair][1]), R6 * np.uint64(1 + pair)
+    first, second = _load_vector(sums, place), _load_vector(sums, place + R3)
+    to = _store_seen(_normalise(first, kept, _TINY), axes, vectors, x, to)
+    return _store_seen(_normalise(second, kept, _TINY), axes, vectors, x, to)
 
 
 @compiled
@@ -314,32 +665,32 @@ def _store_others(others, ids, normal, axes, vectors, x, to):
     px, py, pz, qx = load_columns(others, ids, _OTHERS, ZERO)
     qy, qz, rx, ry = load_columns(others, ids, _OTHERS, FOUR)
     rz, sx, sy, sz = load_columns(others, ids, _OTHERS, FOUR + FOUR)
-    nx, ny, nz = normal
-    zero = fill_lanes(_0)
-    for vx, vy, vz in ((px, py, pz), (qx, qy, qz), (rx, ry, rz), (sx, sy, sz)):
-        square = vx * vx + vy * vy + vz * vz
-        vx, vy = choose_greater(square, zero, vx, nx), choose_greater(square, zero, vy, ny)
-        vz = choose_greater(square, zero, vz, nz)
-        to = _store_seen((vx, vy, vz), axes, vectors, x, to)
+    for vector in ((px, py, pz), (qx, qy, qz), (rx, ry, rz), (sx, sy, sz)):
+        square = vec.dot(vector, vector)
+        to = _store_seen(_choose(square, fill_lanes(_0), vector, normal), axes, vectors, x, to)
     return to
 
 
 @compiled
+def _store_four(x, to, lanes):
+    store_lanes(x, to, lanes[0])
+    store_lanes(x, to + S1, lanes[1])
+    store_lanes(x, to + S2, lanes[2])
+    store_lanes(x, to + S3, lanes[3])
+
+
+@compiled
 def _lay_numbers(known, records, statistics, ids, counts, sums, x, to):
-    """The numbers of faces as inputs; the first of ``sums`` are those of ``lay_guides``."""
-    _, scatter, first = _load(sums, ZERO)
-    second, third, sideways = _load(sums, R3)
+    """The numbers of faces as inputs; the first of ``sums`` are those of ``_lay_guides``."""
+    _, scatter, first = _load_vector(sums, ZERO)
+    second, third, fourth = _load_vector(sums, R3)
     per_count = fill_lanes(_1) / (load_lanes(counts, ZERO) + fill_lanes(_1))
     for column in range(ZERO, _TWELVE, FOUR):
-        a, b, c, d = load_columns(known, ids, KNOWN, _OWN_NUMBERS + column)
-        store_lanes(x, to + column * S1, a)
-        store_lanes(x, to + column * S1 + S1, b)
-        store_lanes(x, to + column * S1 + S2, c)
-        store_lanes(x, to + column * S1 + S3, d)
+        four = load_columns(known, ids, KNOWN, _OWN_NUMBERS + column)
+        _store_four(x, to + column * S1, four)
     store_lanes(x, to + _TEN * S1, scatter * per_count)
     to += _TWELVE * S1
-    _, _, _, area = load_columns(records, ids, RECORD, ZERO)
-    store_lanes(sums, R1, area)
+    store_lanes(sums, R1, load_columns(records, ids, RECORD, ZERO)[3])
     for lane in range(LANES):
         mean = sums[lane] / (np.float64(counts[lane]) + 1.0)
         both = sums[R1 + lane] + mean
@@ -348,18 +699,10 @@ def _lay_numbers(known, records, statistics, ids, counts, sums, x, to):
     store_lanes(x, to, load_lanes(sums, ZERO))
     to += S1
     for column in range(FOUR * TWO, RECORD, FOUR):
-        _, _, _, ripple = load_columns(records, ids, RECORD, column)
-        store_lanes(x, to, ripple)
+        store_lanes(x, to, load_columns(records, ids, RECORD, column)[3])
         to += S1
-    store_lanes(x, to, first * per_count)
-    store_lanes(x, to + S1, second * per_count)
-    store_lanes(x, to + S2, third * per_count)
-    store_lanes(x, to + S3, sideways * per_count)
+    ripples = first * per_count, second * per_count, third * per_count, fourth * per_count
+    _store_four(x, to, ripples)
     to += FOUR * S1
-    a, b, c, d = load_columns(statistics, ids, _FIVE, ZERO)
-    _, _, _, e = load_columns(statistics, ids, _FIVE, ONE)
-    store_lanes(x, to, a)
-    store_lanes(x, to + S1, b)
-    store_lanes(x, to + S2, c)
-    store_lanes(x, to + S3, d)
-    store_lanes(x, to + FOUR * S1, e)
+    _store_four(x, to, load_columns(statistics, ids, _FIVE, ZERO))
+    store_lanes(x, to + FOUR * S1, load_columns(statistics, ids, _FIVE, ONE)[3])

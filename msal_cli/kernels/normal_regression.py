@@ -1,4 +1,15 @@
-"""Face normals by regression: descriptors of every face, and the network that reads them."""
+"""Face normals by regression: descriptors of every face, and the network that reads them.
+
+The network is small and weighs candidate normals.  The inputs of a face are its vectors along its
+three axes, one behind the other, and its numbers (``normal_descriptors``).  Each layer is W x + b,
+followed by x -> max(x, x / 64) but for the last.  The last one gives a coefficient for each vector;
+the normal is their combination, normalised.  So where all vectors are one, the normal is that one,
+whatever the coefficients.
+
+Inputs and vectors are made for FACES at a time, and are not kept.  Every sum over inputs goes from
+the first to the last.  ``TILE`` outputs of twice ``LANES`` faces are summed at a time, which takes
+half of the registers that any processor has.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +19,32 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import centroid_points, face_centroids, faces_within
-from msal_cli.kernels.geometry import apply_umbrella, face_normals_and_areas, lay_face_normals
+from msal_cli.kernels.geometry import apply_umbrella, face_normals, face_normals_and_areas
+from msal_cli.kernels.lanes import LANES, choose_greater, fill_lanes, load_lanes, store_lanes
 from msal_cli.kernels.library import compiled
-from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     AXES,
     DEVIATION,
+    FACES,
+    FOUR,
     KNOWN,
     OWN_NUMBERS,
+    RECORD,
+    S1,
+    S2,
+    S3,
     VECTORS,
+    WIDE,
     describe,
+    lay_inputs,
+    memory_for_inputs,
 )
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import median
-from msal_cli.kernels.regression_network import TILE, predict_normals
-from msal_cli.kernels.vectors import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 MAX_NEAR = 63
 """Faces near one at most, beside itself."""
@@ -56,33 +76,25 @@ SAMPLED = 1 << 15
 GLOBALS = 11
 """Inputs that are the same for all faces of a mesh."""
 
-_FOUR = np.uint64(4)
-
 
 @compiled
 def _measure_distances(start, stop, c, ring_start, ring, distances):
     """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * f
-        x, y, z = c[own], c[own + ONE], c[own + TWO]
-        total = 0.0
-        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
-        for entry in range(row, end):
-            k = THREE * ring[entry]
-            dx, dy, dz = c[k] - x, c[k + ONE] - y, c[k + TWO] - z
-            total += np.sqrt(dx * dx + dy * dy + dz * dz)
-        distances[f] = total / np.float64(max(end - row, ONE))
+        own, total, places = vec.load(c, f), 0.0, vec.row_range(ring_start, f)
+        for at in places:
+            total += vec.norm(vec.subtract(vec.load(c, ring[at]), own))
+        distances[f] = total / np.float64(max(len(places), 1))
 
 
 @compiled
 def _average_units(start, stop, distances, ring_start, ring, units):
     """The mean of a face's distance and those of its row, times root 3."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        total = distances[f]
-        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
-        for entry in range(row, end):
-            total += distances[ring[entry]]
-        units[f] = ROOT_3 * total / np.float64(end - row + ONE)
+        total, places = distances[f], vec.row_range(ring_start, f)
+        for at in places:
+            total += distances[ring[at]]
+        units[f] = ROOT_3 * total / np.float64(len(places) + 1)
 
 
 @compiled
@@ -92,33 +104,29 @@ def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
     Faces without a normal have no area, and get the mean of those around, weighted by area.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
-        own, to = THREE * f, _FOUR * f
-        nx, ny, nz = normals[own], normals[own + ONE], normals[own + TWO]
-        area = areas[f] * per_area
-        if nx == 0.0 and ny == 0.0 and nz == 0.0:
+        normal, area = vec.load(normals, f), areas[f] * per_area
+        if vec.is_zero(normal):
             area = 0.0
-            for entry in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
-                k = THREE * ring[entry]
-                weight = areas[ring[entry]] * per_area
-                nx += weight * normals[k]
-                ny += weight * normals[k + ONE]
-                nz += weight * normals[k + TWO]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            for at in vec.row_range(ring_start, f):
+                k = np.uint64(ring[at])
+                normal = vec.add_scaled(normal, areas[k] * per_area, vec.load(normals, k))
+            length = vec.norm(normal)
             if length > 0.0:
-                nx, ny, nz = nx / length, ny / length, nz / length
-        marks[to], marks[to + ONE] = np.float32(nx), np.float32(ny)
-        marks[to + TWO], marks[to + THREE] = np.float32(nz), np.float32(area)
+                normal = vec.divide(normal, length)
+        for axis in range(3):
+            marks[FOUR * f + np.uint64(axis)] = np.float32(normal[axis])
+        marks[FOUR * f + THREE] = np.float32(area)
 
 
 @compiled
 def _measure_heights(start, stop, left, normals, time, ripples):
     """How long what is left is along the normals; after the second ``time`` also across them."""
     for i in range(np.uint64(start), np.uint64(stop)):
-        x, y, z = left[i, 0], left[i, 1], left[i, 2]
-        along = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+        way = vec.load(left, i)
+        along = vec.dot(way, vec.load(normals, i))
         ripples[i, time] = abs(along)
         if time == 1:
-            ripples[i, 3] = np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+            ripples[i, 3] = np.sqrt(max(vec.dot(way, way) - along * along, 0.0))
 
 
 def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
@@ -148,20 +156,122 @@ class Neighbourhoods:
     near: Ints
 
 
-def find_neighbourhoods(centroids: Floats, ring_start: Ints, ring: Ints) -> Neighbourhoods:
-    """The neighbourhoods of faces with ``centroids`` (m, 3); rows as ``face_rings`` has them."""
-    reach = WIDE * _find_units(centroids, ring_start, ring)
-    near_start, near = faces_within(centroids, ring_start, ring, reach, MAX_NEAR)
-    return Neighbourhoods(ring_start, ring, near_start, near)
-
-
 def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    m = len(centroids)
-    distances, units = np.empty(m), np.empty(m)
-    rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    over_ranges(_measure_distances, m, centroids.reshape(-1), *rows, distances)
-    over_ranges(_average_units, m, distances, *rows, units)
-    return units
+    """The local unit (m,) at each of the ``centroids`` (m, 3), file units."""
+    m, rows = len(centroids), (ring_start.view(np.uint32), ring.view(np.uint32))
+    distances = fill_array(_measure_distances, m, centroids.reshape(-1), *rows)
+    return fill_array(_average_units, m, distances, *rows)
+
+
+# The network
+
+TILE = np.uint64(4)
+"""Outputs that are summed at a time; layers have a multiple of it, filled up with zeros."""
+
+LEAK = np.float32(1.0 / 64.0)
+
+_0, _1, _TINY = np.float32(0.0), np.float32(1.0), 1e-12
+
+
+@compiled
+def _store_output(y, to, first, second, leak):
+    """Write the output of twice ``LANES`` faces; what is below zero times ``leak``."""
+    zero, slope = fill_lanes(_0), fill_lanes(leak)
+    store_lanes(y, to, choose_greater(first, zero, first, first * slope))
+    store_lanes(y, to + LANES, choose_greater(second, zero, second, second * slope))
+
+
+@compiled
+def _multiply(n_in, n_out, weights, at, x, y, leak):
+    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the matrix.
+
+    Of the matrix ``TILE`` rows are beside each other: for each input their weights.  Returns where
+    the next layer begins.
+    """
+    row, step = at + n_out, n_in * TILE
+    for o in range(ZERO, n_out, TILE):
+        bias = at + o
+        for face in range(ZERO, FACES, LANES + LANES):
+            a0 = a1 = fill_lanes(weights[bias])
+            b0 = b1 = fill_lanes(weights[bias + ONE])
+            c0 = c1 = fill_lanes(weights[bias + TWO])
+            d0 = d1 = fill_lanes(weights[bias + THREE])
+            of, of_end, w = np.uint64(face), face + n_in * S1, row
+            while of < of_end:
+                x0, x1 = load_lanes(x, of), load_lanes(x, of + LANES)
+                weight = fill_lanes(weights[w])
+                a0, a1 = a0 + weight * x0, a1 + weight * x1
+                weight = fill_lanes(weights[w + ONE])
+                b0, b1 = b0 + weight * x0, b1 + weight * x1
+                weight = fill_lanes(weights[w + TWO])
+                c0, c1 = c0 + weight * x0, c1 + weight * x1
+                weight = fill_lanes(weights[w + THREE])
+                d0, d1 = d0 + weight * x0, d1 + weight * x1
+                of += S1
+                w += TILE
+            to = o * S1 + face
+            _store_output(y, to, a0, a1, leak)
+            _store_output(y, to + S1, b0, b1, leak)
+            _store_output(y, to + S2, c0, c1, leak)
+            _store_output(y, to + S3, d0, d1, leak)
+        row += step
+    return row
+
+
+@compiled
+def predict_normals(
+    start,
+    stop,
+    points,
+    units,
+    unit,
+    near_start,
+    near,
+    known,
+    records,
+    statistics,
+    others,
+    is_later,
+    n_vectors,
+    n_in,
+    n_hidden,
+    n_out,
+    weights,
+    normals,
+):
+    """The unit normals (m, 3), flat, of a network with two hidden layers; see ``lay_inputs``.
+
+    ``n_in`` is the number of inputs, ``n_hidden`` and ``n_out`` are multiples of ``TILE``, the
+    last of at least ``n_vectors``.  ``weights`` has the three layers one behind another.
+    """
+    n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
+    of = points, units, unit, near_start, near, known, records, statistics, others
+    memory = memory_for_inputs(start, stop, near_start)
+    vectors = np.zeros(np.int64(S3) * n_vectors, dtype=np.float32)
+    x = np.zeros(np.int64(n_in * S1), dtype=np.float32)
+    first_layer = np.empty(np.int64(n_hidden * S1), dtype=np.float32)
+    second_layer = np.empty(np.int64(n_hidden * S1), dtype=np.float32)
+    shares = np.empty(np.int64(n_out * S1), dtype=np.float32)
+    last, n_vectors, zero = np.uint64(stop), np.uint64(n_vectors), np.float64(0.0)
+    for chunk in range(np.uint64(start), last, FACES):
+        for group in range(ZERO, min(FACES, last - chunk), LANES):
+            first = chunk + group
+            lay_inputs(first, last, group, of, is_later, memory, vectors, x)
+        at = _multiply(n_in, n_hidden, weights, ZERO, x, first_layer, LEAK)
+        at = _multiply(n_hidden, n_hidden, weights, at, first_layer, second_layer, LEAK)
+        _multiply(n_hidden, n_out, weights, at, second_layer, shares, _1)
+        for lane in range(min(FACES, last - chunk)):
+            total, at = (zero, zero, zero), lane
+            for k in range(n_vectors):
+                vector = vectors[at], vectors[at + S1], vectors[at + S2]
+                total = vec.add_scaled(total, shares[k * S1 + lane], vector)
+                at += S3
+            length = vec.norm(total)
+            if length > _TINY:
+                vec.store(normals, chunk + lane, vec.divide(total, length))
+            else:
+                own = vectors[lane], vectors[S1 + lane], vectors[S2 + lane]
+                vec.store(normals, chunk + lane, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +326,7 @@ class Descriptors:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Two hidden layers; see ``regression_network``."""
+    """Two hidden layers; see the top."""
 
     # (bias (out,), matrix (out, in)) of each of the three
     layers: tuple[tuple[Floats32, Floats32], ...]
@@ -272,13 +382,16 @@ class NormalDescriber:
         self, faces: Ints, vertices: Floats, ring_start: Ints, ring: Ints, evidence: Evidence
     ) -> None:
         m = len(faces)
-        self.around = find_neighbourhoods(face_centroids(vertices, faces), ring_start, ring)
+        centroids = face_centroids(vertices, faces)
+        reach = WIDE * _find_units(centroids, ring_start, ring)
+        near = faces_within(centroids, ring_start, ring, reach, MAX_NEAR)
+        self.around = Neighbourhoods(ring_start, ring, *near)
         self.evidence = evidence
         self._faces = faces
         self._marks = np.empty(4 * m, dtype=np.float32)
         self._known = np.empty((m, int(KNOWN)), dtype=np.float32)
         self._records = np.empty((m, int(RECORD)), dtype=np.float32)
-        lay_face_normals(vertices, faces, self._records, 16)
+        self._records[:, 16:19] = face_normals(vertices, faces)
 
     def describe(
         self, positions: Floats, ripples: Floats, earlier: Floats | None = None

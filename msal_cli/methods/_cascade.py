@@ -23,7 +23,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Floats32
 from msal_cli.errors import InternalError
 from msal_cli.kernels.faces import corner_means, face_rings
-from msal_cli.kernels.geometry import average_around, lay_face_normals, ring_means
+from msal_cli.kernels.geometry import average_around, face_normals, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
@@ -228,7 +228,7 @@ def gather_evidence(
     outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
     normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
     for place, outcome in enumerate(outcomes):
-        lay_face_normals(outcome, mesh.faces, normals, 3 * place)
+        normals[:, 3 * place : 3 * place + 3] = face_normals(outcome, mesh.faces)
     statistics = _measure_surroundings(mesh, ripples, restored, unit)
     return Evidence(noise, is_white, is_uneven, normals, statistics)
 
