@@ -7,7 +7,6 @@ stopped, and a column that is solved early divides by nothing.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -18,19 +17,6 @@ from msal_cli.kernels.parallel import over_ranges
 
 CHUNK = 4096
 """Rows that are summed up together: sums over chunks do not depend on how threads share them."""
-
-
-class SymmetricMatrix(Protocol):
-    """A symmetric positive definite matrix (n, n), known by its diagonal and its products."""
-
-    @property
-    def diagonal(self) -> Floats:
-        """The diagonal (n,)."""
-        ...
-
-    def times(self, x: Floats, product: Floats) -> None:
-        """Write A x into ``product``; both (n, 3), not the same array."""
-        ...
 
 
 @compiled
@@ -94,12 +80,12 @@ def _turn(start, stop, share, r, inverse, p):
 
 
 def conjugate_gradients(
-    matrix: SymmetricMatrix,
+    diagonal: Floats,
+    times: Callable[[Floats, Floats], None],
     right: Floats,
     start: Floats,
     *,
     tolerance: float,
-    unit: float,
     most_iterations: int,
     held: Flags | None = None,
     on_iteration: Callable[[], object] = lambda: None,
@@ -112,14 +98,14 @@ def conjugate_gradients(
 
     Parameters
     ----------
-    tolerance : the run ends when the residual is at most ``tolerance * unit``.
-    unit : a length of the problem, such as the mean edge length.
+    diagonal, times : d (n,), and what writes A X into its second argument, both (n, 3) and not the
+        same array.
+    tolerance : the run ends when the residual is at most this; the unit of X.
     most_iterations : the run ends here at the latest.
     held : (n,) bool, True for rows whose X is given by ``start`` and stays: the other rows are
         solved with them as data.  Rows whose diagonal is not positive stay as well.
     on_iteration : called after every iteration; what it raises ends the run.
     """
-    diagonal = np.asarray(matrix.diagonal, dtype=np.float64)
     n = len(diagonal)
     usable = diagonal > 0.0
     if held is not None:
@@ -131,19 +117,18 @@ def conjugate_gradients(
 
     x = np.array(start, dtype=np.float64, order="C")
     q = np.empty_like(x)
-    matrix.times(x, q)
+    times(x, q)
     r = np.ascontiguousarray(right - q)
     p = np.zeros_like(x)
-    goal = tolerance * unit
 
     # In one thread and over one array, numpy's pairwise sum has a fixed order.
     square = float((inverse * (r * r).sum(axis=1)).sum())
     previous = 0.0
     for done in range(most_iterations if total_weight > 0.0 else 0):
-        if not np.sqrt(square / total_weight) > goal:
+        if not np.sqrt(square / total_weight) > tolerance:
             break
         over_ranges(_turn, n, square / previous if done else 0.0, r, inverse, p)
-        matrix.times(p, q)
+        times(p, q)
         over_ranges(_dot, n, p, q, sums)
         curvature = float(sums.sum())
         if not curvature > 0.0:  # rounding, or A is not positive definite: no way down from here

@@ -227,11 +227,11 @@ class ImplicitMeanCurvature:
         right = np.empty_like(positions)
         RowMatrix(sums, *links.one_ring, -values).times(positions, right)
         moves = conjugate_gradients(
-            matrix,
+            matrix.diagonal,
+            matrix.times,
             right,
             np.zeros_like(positions),
-            tolerance=TOLERANCE,
-            unit=self.mean_edge_length,
+            tolerance=TOLERANCE * self.mean_edge_length,
             most_iterations=MAX_ITERATIONS,
             held=~self.free,
             on_iteration=self.on_iteration,

@@ -103,12 +103,13 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     if parameters.variant == "local":
         return bilateral_averages(*faces, parameters.iterations, passes.count_pass)
     fidelity = parameters.fidelity
+    system = normal_system(*faces, fidelity)
     solved = conjugate_gradients(
-        normal_system(*faces, fidelity),
+        system.diagonal,
+        system.times,
         fidelity * normals,
         normals,
         tolerance=TOLERANCE * fidelity,
-        unit=1.0,
         most_iterations=MAX_ITERATIONS,
         on_iteration=passes.on_step,
     )

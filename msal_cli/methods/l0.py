@@ -105,11 +105,11 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         coefficients, deltas = edges.bent(positions, price / beta)
         matrix, pulls = edges.system(coefficients, deltas, alpha, beta)
         positions = conjugate_gradients(
-            matrix,
+            matrix.diagonal,
+            matrix.times,
             mesh.vertices + pulls,
             positions,
-            tolerance=TOLERANCE,
-            unit=edge_length,
+            tolerance=TOLERANCE * edge_length,
             most_iterations=MAX_ITERATIONS,
             held=fixed,
             on_iteration=on_step,

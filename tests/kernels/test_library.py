@@ -157,8 +157,8 @@ def solve(vertices, faces):
     links = connectivity(n, faces)
     diagonal = 1.0 + 5.0 * np.diff(links.ring_start)
     matrix = RowMatrix(diagonal, links.ring_start, links.ring, np.full(len(links.ring), -5.0))
-    goal = {"tolerance": 1e-6, "unit": 1.0, "most_iterations": 1000}
-    return [conjugate_gradients(matrix, vertices, np.zeros((n, 3)), **goal)]
+    goal = {"tolerance": 1e-6, "most_iterations": 1000}
+    return [conjugate_gradients(diagonal, matrix.times, vertices, np.zeros((n, 3)), **goal)]
 
 
 def draw(vertices, faces):
