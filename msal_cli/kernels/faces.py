@@ -131,9 +131,7 @@ def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[In
             f"the {m} faces have {len(ring)} neighbours, too many to number",
             hint="cut the mesh into parts",
         )
-    ring_start = np.zeros(m + 1, dtype=np.int32)
-    np.cumsum(sizes, out=ring_start[1:])
-    return ring_start, ring
+    return _starts(sizes).astype(np.int32), ring
 
 
 @compiled
@@ -228,9 +226,14 @@ def faces_within(
         np.atleast_1d(np.float64(radius)),
         most,
     )
-    near_start = np.zeros(len(centroids) + 1, dtype=np.int64)
-    np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
-    return near_start, near
+    return _starts(sizes), near
+
+
+def _starts(sizes: Ints) -> Longs:
+    """Where rows of these sizes (m,) start, and where the last one ends: (m + 1,) int64."""
+    starts = np.zeros(len(sizes) + 1, dtype=np.int64)
+    np.cumsum(sizes, out=starts[1:])
+    return starts
 
 
 # Flaps: an edge with exactly two faces, and the two vertices that face it.
@@ -314,21 +317,6 @@ BLOCK_PATCHES = np.uint64(32)
 """Patches that are worked on at a time: what belongs to them fits a first-level cache."""
 
 FOUR = np.uint64(4)
-
-
-@compiled
-def _pairs(edge_start, edge_ring, first_pair, pairs):
-    """Number the pairs f < g of neighbours in the order of the rows."""
-    found = 0
-    for f in range(len(edge_start) - 1):
-        first_pair[f] = found
-        for at in range(edge_start[f], edge_start[f + 1]):
-            if edge_ring[at] > f:
-                pairs[found, 0] = f
-                pairs[found, 1] = edge_ring[at]
-                found += 1
-    first_pair[len(edge_start) - 1] = found
-    return found
 
 
 @compiled
@@ -475,15 +463,10 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
 class Patches:
     """The patches of a mesh."""
 
-    # ring_start, ring: rows of the faces of each patch but for its own, (m + 1,) and (k,)
-    ring_start: Ints
-    ring: Ints
-    edge_start: Ints  # edge_start, edge_ring: rows of the faces that share an edge with each face
-    edge_ring: Ints
+    rows: tuple[Ints, Ints]  # of the faces of each patch but for its own, (m + 1,) and (k,)
+    edges: tuple[Ints, Ints]  # rows of the faces that share an edge with each face
     pairs: Ints  # (e, 2), the faces that share an edge, each pair once, the lower number first
-    # inner_start, inner: rows of the pairs both of whose faces are in the patch, (m + 1,)
-    inner_start: Longs
-    inner: Ints
+    inner: tuple[Longs, Ints]  # rows of the pairs both of whose faces are in the patch
 
     def guides(self, normals: Floats, areas: Floats) -> Floats:
         """Guide normals (m, 3) for face ``normals`` (m, 3) and ``areas`` (m,).
@@ -494,14 +477,12 @@ class Patches:
         whose patches have no mean normal is guided by its own.
         """
         m = len(normals)
-        jumps = np.empty(len(self.pairs))
         flat = normals.reshape(-1)
         pairs = self.pairs.reshape(-1).view(np.uint32)
-        over_ranges(_jumps, len(self.pairs), flat, pairs, jumps)
-        rows = self.ring_start.view(np.uint32), self.ring.view(np.uint32)
-        inner = self.inner_start.view(np.uint64), self.inner.view(np.uint32)
-        scores = np.empty(m)
-        means = np.empty(3 * m)
+        jumps = fill_array(_jumps, len(self.pairs), flat, pairs)
+        rows = [part.view(np.uint32) for part in self.rows]
+        inner = self.inner[0].view(np.uint64), self.inner[1].view(np.uint32)
+        scores, means = np.empty(m), np.empty(3 * m)
         areas = usable_areas(normals, areas)
         over_ranges(_score, m, flat, areas, *rows, jumps, *inner, scores, means)
         guides = np.empty((m, 3))
@@ -519,17 +500,17 @@ def patches(faces: Ints, links: Connectivity) -> Patches:
 
 def _find_patches(faces: Ints, links: Connectivity) -> Patches:
     m = len(faces)
-    ring_start, ring = face_rings(faces, links, "vertex")
-    edge_start, edge_ring = face_rings(faces, links, "edge")
-    first_pair = np.empty(m + 1, dtype=np.int32)
-    pairs = np.empty((len(edge_ring) // 2, 2), dtype=np.int32)
-    _pairs(edge_start, edge_ring, first_pair, pairs)
+    rows = face_rings(faces, links, "vertex")
+    edge_start, edge_ring = edges = face_rings(faces, links, "edge")
+    # The pairs f < g of neighbours in the order of the rows.
+    f = np.repeat(np.arange(m, dtype=np.int32), np.diff(edge_start))
+    is_first = edge_ring > f
+    pairs = np.column_stack([f[is_first], edge_ring[is_first]])
+    first_pair = np.append(0, np.cumsum(is_first))[edge_start].astype(np.uint32)
     # Every pair of a patch is an edge of two of its faces.
-    widest, across = int(np.diff(ring_start).max()), int(np.diff(edge_start).max())
+    widest, across = int(np.diff(rows[0]).max()), int(np.diff(edge_start).max())
     most = (widest + 1) * across // 2 + 1
-    rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    numbered = first_pair.view(np.uint32), pairs.reshape(-1).view(np.uint32)
-    sizes, inner = find_rows(_inner, m, most, *rows, *numbered, most)
-    inner_start = np.zeros(m + 1, dtype=np.int64)
-    np.cumsum(sizes, dtype=np.int64, out=inner_start[1:])
-    return Patches(ring_start, ring, edge_start, edge_ring, pairs, inner_start, inner)
+    known = [part.view(np.uint32) for part in rows]
+    numbered = first_pair, pairs.reshape(-1).view(np.uint32)
+    sizes, inner = find_rows(_inner, m, most, *known, *numbered, most)
+    return Patches(rows, edges, pairs, (_starts(sizes), inner))

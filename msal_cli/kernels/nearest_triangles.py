@@ -27,31 +27,6 @@ _DEPTH = 64
 
 
 @compiled
-def _fill_leaves(start, stop, corners, count, first_leaf, boxes):
-    """Lower and upper bounds of each leaf, from the ``corners`` (count, 3, 3) of its triangles."""
-    for leaf in range(start, stop):
-        first = LEAF * np.uint64(leaf)
-        for slot in range(first, min(first + LEAF, np.uint64(count))):
-            for k in range(3):
-                for axis in range(3):
-                    value = corners[slot, k, axis]
-                    node = first_leaf + leaf
-                    boxes[node, axis] = min(boxes[node, axis], value)
-                    boxes[node, 3 + axis] = max(boxes[node, 3 + axis], value)
-
-
-@compiled
-def _join_boxes(start, stop, level, boxes):
-    """The boxes of the nodes ``level`` + start and so on, from those of their children."""
-    for at in range(start, stop):
-        node = level + at
-        for axis in range(3):
-            boxes[node, axis] = min(boxes[2 * node, axis], boxes[2 * node + 1, axis])
-            high = max(boxes[2 * node, 3 + axis], boxes[2 * node + 1, 3 + axis])
-            boxes[node, 3 + axis] = high
-
-
-@compiled
 def _square_to_box(point, boxes, node):
     low = vec.subtract(vec.load(boxes, TWO * node), point)
     high = vec.subtract(point, vec.load(boxes, TWO * node + ONE))
@@ -151,12 +126,17 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
     n_leaves = -(-m // int(LEAF))
     first_leaf = 1 << (n_leaves - 1).bit_length()
     boxes = np.empty((2 * first_leaf, 6))
-    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    over_ranges(_fill_leaves, n_leaves, corners, m, first_leaf, boxes)
-    level = first_leaf // 2
-    while level:
-        over_ranges(_join_boxes, level, level, boxes)
-        level //= 2
+    for bound, pick, empty in (
+        (boxes[:, :3], np.minimum, np.inf),
+        (boxes[:, 3:], np.maximum, -np.inf),
+    ):
+        slots = np.full((first_leaf * int(LEAF), 3), empty)
+        slots[:m] = pick(pick(corners[:, 0], corners[:, 1]), corners[:, 2])
+        bound[first_leaf:] = pick.reduce(slots.reshape(first_leaf, -1, 3), axis=1)
+        level = first_leaf
+        while level > 1:
+            below, level = bound[level : 2 * level], level // 2
+            bound[level : 2 * level] = pick(below[::2], below[1::2])
     triangles, distances = np.empty(len(points), dtype=np.int32), np.empty(len(points))
     points = np.ascontiguousarray(points)
     order = morton_keys(points, low, extent or 1.0)

@@ -49,14 +49,6 @@ def _key_vertices(start, stop, vertices, low, cells_per_unit, keys):
 
 
 @compiled
-def _key_faces(start, stop, faces, keys):
-    """The least corner of each face, and below it the number of the face."""
-    for f in range(start, stop):
-        least = min(faces[f, 0], faces[f, 1], faces[f, 2])
-        keys[f] = (np.uint64(least) << _HIGH) | np.uint64(f)
-
-
-@compiled
 def _rank(start, stop, keys, first, last, ranks):
     """Of the vertices from ``first`` to ``last`` the places of their keys."""
     for at in range(start, stop):
@@ -125,8 +117,10 @@ def sort_in_space(
     """
     keys = morton_keys(vertices, low, extent)
     vertices, faces, ranks = order_vertices(vertices, faces, keys)
-    keys = np.empty(len(faces), dtype=np.uint64)
-    over_ranges(_key_faces, len(faces), faces, keys)
+    # The least corner of each face, and below it the number of the face.
+    a, b, c = faces.T
+    least = np.minimum(np.minimum(a, b), c).astype(np.uint64)
+    keys = least << _HIGH | np.arange(len(faces), dtype=np.uint64)
     keys.sort()
     return vertices, gather_rows(faces, keys), ranks
 

@@ -100,16 +100,15 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer = Timer()
     faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)
-    edges = around.edge_start, around.edge_ring
     # Without neighbours there is no unit, and nothing that it would measure.
     edge_length = mesh.mean_edge_length
     centroids = face_centroids(mesh.vertices, faces)
-    radius = parameters.radius * mean_edge_length(centroids, *edges)
-    near = faces_within(centroids, around.ring_start, around.ring, radius, MAX_NEAR)
+    radius = parameters.radius * mean_edge_length(centroids, *around.edges)
+    near = faces_within(centroids, *around.rows, radius, MAX_NEAR)
 
     def filtered(positions: Floats, on_step: Callable[[], None]) -> Floats:
         centroids = face_centroids(positions, faces)
-        unit = mean_edge_length(centroids, *edges)
+        unit = mean_edge_length(centroids, *around.edges)
         normals, areas = face_normals_and_areas(positions, faces)
         return joint_bilateral(
             normals,

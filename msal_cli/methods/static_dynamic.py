@@ -123,10 +123,10 @@ def _filtered_normals(
     """
     normals, areas = face_normals_and_areas(vertices, mesh.faces)
     centroids = face_centroids(vertices, mesh.faces)
-    unit = mean_edge_length(centroids, around.edge_start, around.edge_ring)
+    unit = mean_edge_length(centroids, *around.edges)
     # Without neighbours there is no unit, and nothing that it would measure.
     eta = parameters.closeness * (unit or mesh.mean_edge_length)
-    near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MAX_NEAR)
+    near = faces_within(centroids, *around.rows, 3.0 * eta, MAX_NEAR)
     weights, share = pair_weights(
         around.guides(normals, areas), centroids, areas, *near, eta, parameters.guidance
     )
