@@ -8,9 +8,10 @@ compiled code does not check bounds: every step here compares with the end of th
 
 import numpy as np
 
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
-from msal_cli.kernels.text import read_integer
+from msal_cli.kernels.text import read_integer, skip_line
 
 WHOLE = 0
 """All of the text is read."""
@@ -173,7 +174,7 @@ def _read_three(buf, at):
 
     With an error the end is where the wrong word begins.
     """
-    x = y = z = 0.0
+    point = vec.ORIGIN
     most_decimals = np.int64(0)
     is_undecided = False
     for _ in range(3):
@@ -181,12 +182,12 @@ def _read_three(buf, at):
         value, status, end, decimals = read_coordinate(buf, at)
         if status == NOT_A_NUMBER:
             result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
-            return x, y, z, result, at, most_decimals, is_undecided
+            return point, result, at, most_decimals, is_undecided
         is_undecided |= status == UNDECIDED
         most_decimals = max(most_decimals, decimals)
-        x, y, z = y, z, value
+        point = point[1], point[2], value
         at = end
-    return x, y, z, WHOLE, at, most_decimals, is_undecided
+    return point, WHOLE, at, most_decimals, is_undecided
 
 
 @compiled
@@ -279,8 +280,7 @@ def scan(
         statement = at
         first = buf[at]
         if first == 35:
-            while at < len(buf) and buf[at] != 10 and buf[at] != 13:
-                at += 1
+            at = skip_line(buf, at)
             continue
         second = buf[at + 1] if first == 118 and at + 1 < len(buf) else np.uint8(32)
         is_normal = second == 110 and is_word_end(buf, at + 2)
@@ -290,7 +290,7 @@ def scan(
                 result = FULL
                 break
             at += 2 if is_normal else 1
-            x, y, z, result, at, most, is_undecided = _read_three(buf, at)
+            point, result, at, most, is_undecided = _read_three(buf, at)
             if result == WHOLE and not is_normal:
                 at = skip_blanks(buf, at)
                 if not _is_statement_end(buf, at):
@@ -313,13 +313,12 @@ def scan(
                 undecided[n_undecided, 1] = n_normals if is_normal else n_vertices
                 n_undecided += 1
             if is_normal:
-                normals[n_normals, 0], normals[n_normals, 1], normals[n_normals, 2] = x, y, z
+                vec.store(normals, n_normals, point)
                 normal_at[n_normals] = statement
                 normal_decimals[n_normals] = min(most, 255)
                 n_normals += 1
             else:
-                vertices[n_vertices, 0], vertices[n_vertices, 1] = x, y
-                vertices[n_vertices, 2] = z
+                vec.store(vertices, n_vertices, point)
                 vertex_at[n_vertices] = statement
                 decimals[n_vertices] = min(most, 255)
                 n_vertices += 1

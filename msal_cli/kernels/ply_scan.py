@@ -18,7 +18,7 @@ from msal_cli.kernels.numbers import (
     read_number,
     read_plain,
 )
-from msal_cli.kernels.text import parse_integer, skip_blanks, skip_token
+from msal_cli.kernels.text import is_line_end, is_token_end, parse_integer, skip_blanks, skip_token
 
 WHOLE = 0
 """All records are there."""
@@ -82,22 +82,12 @@ def walk_binary(data, at, count, sizes, count_sizes, signed, big_endian, columns
 
 
 @compiled
-def _is_token_end(data, at):
-    return at >= len(data) or data[np.uint64(at)] == 32 or 9 <= data[np.uint64(at)] <= 13
-
-
-@compiled
 def _next_record(data, at):
     """The first token of the next line that has one."""
     at = skip_blanks(data, at)
-    while at < len(data) and (data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13):
+    while at < len(data) and is_line_end(data, at):
         at = skip_blanks(data, at + 1)
     return at
-
-
-@compiled
-def _is_line_end(data, at):
-    return at >= len(data) or data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13
 
 
 @compiled
@@ -135,7 +125,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
             if columns[p] >= 0:
                 lengths[record, columns[p]] = length
         rest = skip_blanks(data, at)
-        if not _is_line_end(data, rest):
+        if not is_line_end(data, rest):
             return record, rest, TOO_MANY
     return count, at, WHOLE
 
@@ -151,7 +141,7 @@ def _short_number(data, at):
     if digits == 8 and at + 8 < len(data) and 48 <= data[np.uint64(at + 8)] <= 57:
         value = 10 * value + np.int64(data[np.uint64(at + 8)]) - 48
         digits = 9
-    if not _is_token_end(data, at + digits):
+    if not is_token_end(data, at + digits):
         return 0, 0
     return value, digits
 
@@ -183,10 +173,10 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
                 last_group = -1
             else:
                 value, at, used = read_plain(data, begin)
-                if at < 0 or not _is_token_end(data, at):
+                if at < 0 or not is_token_end(data, at):
                     is_unusual = True
                     value, status, at, used = read_number(data, begin, len(data))
-                    if status != EXACT or not np.isfinite(value) or not _is_token_end(data, at):
+                    if status != EXACT or not np.isfinite(value) or not is_token_end(data, at):
                         return at, n_unusual, ODD
                     used = min(used, 255)
                 values[record, columns[p]] = value
@@ -201,7 +191,7 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
             if at == begin:
                 return at, n_unusual, ODD
         n_unusual += is_unusual
-        if not _is_line_end(data, skip_blanks(data, at)):
+        if not is_line_end(data, skip_blanks(data, at)):
             return at, n_unusual, ODD
     return at, n_unusual, WHOLE
 
@@ -246,7 +236,7 @@ def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths)
                     at = skip_token(data, begin)
                     if at == begin:
                         return record, stop, first_item, ODD
-        if not _is_line_end(data, skip_blanks(data, at)):
+        if not is_line_end(data, skip_blanks(data, at)):
             return record, stop, first_item, ODD
     return count, at, n_items, WHOLE
 

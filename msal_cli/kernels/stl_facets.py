@@ -16,7 +16,7 @@ from msal_cli.kernels.geometry import doubled_area_normal
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.text import skip_token
+from msal_cli.kernels.text import is_line_end, is_token_end, skip_line, skip_token
 
 WHOLE = 0
 """All of the text is read."""
@@ -44,13 +44,8 @@ MAX_SOLIDS = 16
 
 
 @compiled
-def _is_space(c):
-    return c == 32 or 9 <= c <= 13
-
-
-@compiled
 def _skip_spaces(buf, at):
-    while at < len(buf) and _is_space(buf[at]):
+    while at < len(buf) and is_token_end(buf, at):
         at += 1
     return at
 
@@ -64,9 +59,7 @@ def _skip_word(buf, at, word):
     for k in range(_LENGTHS[word]):
         if (buf[at + k] | np.uint8(32)) != _LETTERS[word, k]:
             return -1
-    if stop < len(buf) and not _is_space(buf[stop]):
-        return -1
-    return stop
+    return stop if is_token_end(buf, stop) else -1
 
 
 @compiled
@@ -110,16 +103,14 @@ def _skip_remark(buf, end, at):
     one too many is damage.
     """
     for k in range(end, at):
-        if buf[k] == 10 or buf[k] == 13:
+        if is_line_end(buf, k):
             return at
     if at < len(buf) and (buf[at] == 43 or 45 <= buf[at] <= 46 or 48 <= buf[at] <= 57):
         return at
     for word in range(len(_LENGTHS)):
         if _skip_word(buf, at, word) >= 0:
             return at
-    while at < len(buf) and buf[at] != 10 and buf[at] != 13:
-        at += 1
-    return _skip_spaces(buf, at)
+    return _skip_spaces(buf, skip_line(buf, at))
 
 
 @compiled
@@ -130,7 +121,7 @@ def _number(buf, at):
     number that ``float`` has to decide.
     """
     value, status, stop, decimals = read_number(buf, at, len(buf))
-    if status == EXACT and (stop == len(buf) or _is_space(buf[stop])):
+    if status == EXACT and is_token_end(buf, stop):
         return value, stop, decimals
     end = skip_token(buf, at)
     if status == UNDECIDED and stop == end:
@@ -180,9 +171,7 @@ def scan(buf, state, run_at, numbers, solid_at, decimals):
                     solid_at[n_solids] = stop
                 n_solids += 1
             inside = not inside
-            at = stop
-            while at < len(buf) and buf[at] != 10 and buf[at] != 13:
-                at += 1
+            at = skip_line(buf, stop)
             continue
         if not inside:
             return OUTSIDE, at, SOLID
@@ -274,12 +263,8 @@ def check_facets(
         for word in range(_CORNERS):
             changed = changed or words[f, word] != words_before[f, word]
         if changed:
-            x, y, z = (
-                np.float64(normals[f, 0]),
-                np.float64(normals[f, 1]),
-                np.float64(normals[f, 2]),
-            )
-            if not moved or not abs(x * x + y * y + z * z - 1.0) < _LENGTH_ERROR:
+            normal = vec.times(1.0, vec.load(normals, f))
+            if not moved or not abs(vec.dot(normal, normal) - 1.0) < _LENGTH_ERROR:
                 return f, WRONG_NORMAL
     return stop, RIGHT
 

@@ -118,7 +118,7 @@ def find_words(buf, start, stop, comment, starts, stops, lines):
             line += c == 10 or c == 13
             at += 1
         elif c == comment:
-            while at < stop and buf[np.uint64(at)] != 10 and buf[np.uint64(at)] != 13:
+            while at < stop and not is_line_end(buf, at):
                 at += 1
         else:
             begin = at
@@ -205,12 +205,29 @@ def skip_blanks(buf, at):
 
 
 @compiled
+def is_token_end(buf, at):
+    """Whether a token ends before ``at``: the next byte is a blank or a line end."""
+    return at >= len(buf) or buf[np.uint64(at)] == 32 or 9 <= buf[np.uint64(at)] <= 13
+
+
+@compiled
 def skip_token(buf, at):
     """The end of the token at ``at``: the next blank or line end, or ``at`` itself."""
-    while at < len(buf):
-        c = buf[np.uint64(at)]
-        if c == 32 or 9 <= c <= 13:
-            break
+    while not is_token_end(buf, at):
+        at += 1
+    return at
+
+
+@compiled
+def is_line_end(buf, at):
+    """Whether the line ends at ``at``."""
+    return at >= len(buf) or buf[np.uint64(at)] == 10 or buf[np.uint64(at)] == 13
+
+
+@compiled
+def skip_line(buf, at):
+    """The end of the line."""
+    while not is_line_end(buf, at):
         at += 1
     return at
 
@@ -244,24 +261,6 @@ def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Lon
     out = np.empty(size, dtype=np.uint8)
     _splice(as_bytes(buf), starts, stops, as_bytes(text), text_stops, out)
     return out
-
-
-@compiled
-def is_same(a, a_start, b, b_start, count):
-    """Whether ``count`` bytes of a and b are equal."""
-    done = 0
-    while done < count:
-        # Slices and a plain sum without a branch in the block, so that it becomes vector code.
-        size = min(4096, count - done)
-        a_block = a[a_start + done : a_start + done + size]
-        b_block = b[b_start + done : b_start + done + size]
-        different = 0
-        for k in range(size):
-            different += a_block[k] != b_block[k]
-        if different:
-            return False
-        done += size
-    return True
 
 
 _BLOCK = 1 << 14
