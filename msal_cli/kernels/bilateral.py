@@ -58,8 +58,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
             if mark[k] == i:
                 continue
             mark[k] = i
-            way = vec.offset(x, k, i)
-            square = vec.dot(way, way)
+            square = vec.square_distance(vec.load(x, k), vec.load(x, i))
             if square <= square_radius:
                 if at > 1 and count >= MAX_FOUND:
                     return count
@@ -78,9 +77,8 @@ def faces_around(i, x, centroids, faces, face_start, incident, square_radius, me
     faces ``found``, with the squared distances of their centroids in ``squares``.
     """
     vertex_mark, face_mark, corners, found, squares = memory
-    own, name = np.uint64(i), np.int32(i)
-    x0, y0, z0 = x[own, 0], x[own, 1], x[own, 2]
-    vertex_mark[own] = name
+    own, name = vec.load(x, np.uint64(i)), np.int32(i)
+    vertex_mark[np.uint64(i)] = name
     corners[0] = name
     waiting, count, at = ONE, ZERO, ZERO
     looks = MAX_LOOKS
@@ -97,10 +95,7 @@ def faces_around(i, x, centroids, faces, face_start, incident, square_radius, me
             if face_mark[f] == name:
                 continue
             face_mark[f] = name
-            dx = centroids[f, 0] - x0
-            dy = centroids[f, 1] - y0
-            dz = centroids[f, 2] - z0
-            square = dx * dx + dy * dy + dz * dz
+            square = vec.square_distance(vec.load(centroids, f), own)
             if square > square_radius:
                 continue
             if at > ONE and count >= MAX_FOUND:
@@ -122,9 +117,7 @@ def _shortest_edge(i, x, ring_start, ring, floor):
     """Length of the shortest edge at i that is longer than the floor; 0 if none is."""
     shortest = np.inf
     for at in range(ring_start[i], ring_start[i + 1]):
-        k = ring[at]
-        edge = vec.offset(x, k, i)
-        square = vec.dot(edge, edge)
+        square = vec.square_distance(vec.load(x, ring[at]), vec.load(x, i))
         if square > floor * floor:
             shortest = min(shortest, square)
     return np.sqrt(shortest) if shortest < np.inf else 0.0
@@ -246,41 +239,33 @@ def _project(
     near = 0.5 / max(closeness, floor) ** 2
     alike = 0.5 / max(similarity, floor) ** 2 if averaged == _PROJECTIONS else 0.0
     for i in range(start, stop):
-        moves[i, 0] = moves[i, 1] = moves[i, 2] = 0.0
+        vec.store(moves, i, vec.ORIGIN)
         if not free[i]:
             continue
         square = radius * radius
         count = faces_around(i, x, centroids, faces, face_start, incident, square, memory)
-        xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-        least = np.inf
+        own, least = vec.load(x, i), np.inf
         for at in range(count):
             f = np.uint64(found[at])
-            s[at] = (
-                (xi - centroids[f, 0]) * normals[f, 0]
-                + (yi - centroids[f, 1]) * normals[f, 1]
-                + (zi - centroids[f, 2]) * normals[f, 2]
-            )
+            s[at] = vec.dot(vec.subtract(own, vec.load(centroids, f)), vec.load(normals, f))
             g[at] = squares[at] * near + s[at] * s[at] * alike
             least = min(least, g[at])
         # The largest Gaussian is made 1: the quotient stays the same, and cannot become 0/0.
         for at in range(count):
             g[at] = least - g[at]
         vec.exponentials(g, count)
-        weights = mx = my = mz = 0.0
+        weights, total = 0.0, vec.ORIGIN
         for at in range(count):
             f = np.uint64(found[at])
             weight = g[at] * areas[f]
             weights += weight
             if averaged == _PROJECTIONS:
-                mx -= weight * s[at] * normals[f, 0]
-                my -= weight * s[at] * normals[f, 1]
-                mz -= weight * s[at] * normals[f, 2]
+                total = vec.add_scaled(total, -(weight * s[at]), vec.load(normals, f))
             else:
-                mx += weight * (centroids[f, 0] - xi)
-                my += weight * (centroids[f, 1] - yi)
-                mz += weight * (centroids[f, 2] - zi)
+                way = vec.subtract(vec.load(centroids, f), own)
+                total = vec.add_scaled(total, weight, way)
         if weights > 0.0:
-            moves[i, 0], moves[i, 1], moves[i, 2] = mx / weights, my / weights, mz / weights
+            vec.store(moves, i, vec.divide(total, weights))
 
 
 @dataclass(frozen=True, eq=False)

@@ -375,7 +375,7 @@ def component_labels(n_vertices: int, faces: Ints) -> Ints:
 
 
 @compiled
-def root_and_parity(parent, parity, face):
+def _root_and_parity(parent, parity, face):
     """Root of a face and whether the face is wound against it; paths are shortened."""
     root = face
     against = False
@@ -393,21 +393,6 @@ def root_and_parity(parent, parity, face):
 
 
 @compiled
-def join_patches(parent, parity, twisted, item, other, opposed):
-    """Join the patches of two items, which are ``opposed`` or not; the lower root stays."""
-    a, a_against = root_and_parity(parent, parity, item)
-    b, b_against = root_and_parity(parent, parity, other)
-    if a == b:
-        if (a_against ^ b_against) != opposed:
-            twisted[a] = True
-    else:
-        low, high = min(a, b), max(a, b)
-        parent[high] = low
-        parity[high] = a_against ^ b_against ^ opposed
-        twisted[low] |= twisted[high]
-
-
-@compiled
 def _to_flip(corners, following, flip):
     m = len(flip)
     parent = np.arange(m)
@@ -418,19 +403,28 @@ def _to_flip(corners, following, flip):
         # Each edge with exactly two faces once: its two sides follow each other.
         if other <= side or following[other] != side:
             continue
-        opposed = corners[side] == corners[other]
-        join_patches(parent, parity, twisted, side // 3, other // 3, opposed)
+        a, a_against = _root_and_parity(parent, parity, side // 3)
+        b, b_against = _root_and_parity(parent, parity, other // 3)
+        is_odd = a_against ^ b_against ^ (corners[side] == corners[other])
+        if a == b:
+            twisted[a] |= is_odd
+        else:
+            # The lower root stays.
+            low, high = min(a, b), max(a, b)
+            parent[high] = low
+            parity[high] = is_odd
+            twisted[low] |= twisted[high]
     against = np.zeros(m, dtype=np.int64)
     size = np.zeros(m, dtype=np.int64)
     for f in range(m):
-        root, is_against = root_and_parity(parent, parity, f)
+        root, is_against = _root_and_parity(parent, parity, f)
         size[root] += 1
         if is_against:
             against[root] += 1
         flip[f] = is_against
     unorientable = 0
     for f in range(m):
-        root, _ = root_and_parity(parent, parity, f)
+        root, _ = _root_and_parity(parent, parity, f)
         if twisted[root]:
             flip[f] = False
             if root == f:

@@ -14,6 +14,7 @@ from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
 from msal_cli.kernels.vectors import arctangents
+from msal_cli.kernels.welding import first_alike, number_groups, used_vertices, weld
 
 MAX_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
@@ -359,8 +360,6 @@ def regroup_normals(
         vanishes are returned as they were.
     changed : (g,) bool, False where no face of the entry moved: keep the bytes of those.
     """
-    from msal_cli.kernels.welding import first_alike, number_groups, weld
-
     n_entries = len(old_normals)
     old_vertices, new_vertices = map(np.ascontiguousarray, (old_vertices, new_vertices))
     result = np.array(old_normals, order="C")
@@ -433,10 +432,8 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
     if wanted == 0.0 or volume == 0.0 or (wanted > 0.0) != (volume > 0.0):
         return vertices
     centre = moment / (24.0 * volume)
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces.reshape(-1)] = True
     scaled = centre + (wanted / volume) ** (1.0 / 3.0) * (vertices - centre)
-    result: Floats = np.where(used[:, None], scaled, vertices)
+    result: Floats = np.where(used_vertices(len(vertices), faces)[:, None], scaled, vertices)
     return result
 
 

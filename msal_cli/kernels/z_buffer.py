@@ -134,7 +134,7 @@ def _light_samples(
     share = 1.0 / (side * side)
     for row in range(start, stop):
         for column in range(width):
-            red, green, blue, covered, depth = 0.0, 0.0, 0.0, 0.0, 0.0
+            colour, covered, depth = vec.ORIGIN, 0.0, 0.0
             for i in range(row * side, row * side + side):
                 for j in range(column * side, column * side + side):
                     f = front[i, j]
@@ -175,17 +175,16 @@ def _light_samples(
                     if by_vertex:
                         pr, pg, pb = _blend(paint, a, b, c, wa, wb, wc)
                     elif is_back:
-                        pr, pg, pb = back[0], back[1], back[2]
+                        pr, pg, pb = vec.load(back, 0)
                     else:
-                        pr, pg, pb = paint[0, 0], paint[0, 1], paint[0, 2]
-                    red += min(255.0, pr * light + 255.0 * shine)
-                    green += min(255.0, pg * light + 255.0 * shine)
-                    blue += min(255.0, pb * light + 255.0 * shine)
+                        pr, pg, pb = vec.load(paint, 0)
+                    red = min(255.0, pr * light + 255.0 * shine)
+                    green = min(255.0, pg * light + 255.0 * shine)
+                    blue = min(255.0, pb * light + 255.0 * shine)
+                    colour = vec.add(colour, (red, green, blue))
                     covered += 1.0
                     depth += nearness[i, j]
-            sums[row, column, 0] = red * share
-            sums[row, column, 1] = green * share
-            sums[row, column, 2] = blue * share
+            vec.store(sums[row], column, vec.times(share, colour))
             sums[row, column, 3] = covered * share
             depths[row, column] = depth / covered if covered > 0.0 else 0.0
 
