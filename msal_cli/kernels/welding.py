@@ -189,9 +189,9 @@ def number_groups(left: Ints, right: Ints) -> tuple[Ints, Ints]:
 
 def duplicate_faces(faces: Ints) -> Flags:
     """True (m,) for every face whose three vertices, in any order, an earlier face has too."""
-    a, b, c = np.sort(faces, axis=1).T.copy()
-    number, first = number_groups(number_groups(a, b)[0], c)
-    duplicate: Flags = first[number] != np.arange(len(faces))
+    rows = np.sort(faces, axis=1).astype(np.float64)
+    first, _ = first_alike(rows, np.ones(len(faces), dtype=bool))
+    duplicate: Flags = first != np.arange(len(faces))
     return duplicate
 
 
@@ -240,9 +240,8 @@ def _widest_gap(positions, place, first):
             continue
         if first[k] < 0:
             first[k] = i
-        at = first[k]
-        gap = vec.offset(positions, i, at)
-        widest = max(widest, vec.dot(gap, gap))
+        gap = vec.square_distance(vec.load(positions, i), vec.load(positions, first[k]))
+        widest = max(widest, gap)
     return np.sqrt(widest)
 
 
