@@ -12,10 +12,10 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
-from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE, ring_areas
 from msal_cli.kernels.library import compiled
+from msal_cli.kernels.linear_systems import RowMatrix, conjugate_gradients
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median

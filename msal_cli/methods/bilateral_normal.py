@@ -38,9 +38,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.conjugate_gradient import conjugate_gradients
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, mean_edge_length
+from msal_cli.kernels.linear_systems import conjugate_gradients
 from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields

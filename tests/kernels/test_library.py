@@ -9,11 +9,11 @@ import pytest
 
 from msal_cli.errors import InternalError
 from msal_cli.kernels import geometry, library, parallel, welding, z_buffer
-from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import normals_and_flat_faces, surface_figures
 from msal_cli.kernels.library import Kernel, arg_type
+from msal_cli.kernels.linear_systems import RowMatrix, conjugate_gradients
 from msal_cli.kernels.parallel import MIN_COUNT, at_once, is_worth_it
 from tests.shapes import grid, noisy, torus
 
