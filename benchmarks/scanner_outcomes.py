@@ -28,7 +28,7 @@ from msal_cli.analysis.measures import (
     vertex_error_percent,
 )
 from msal_cli.auto import Wishes
-from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.pipeline import FileRun
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh
 
@@ -230,13 +230,12 @@ def denoise(mesh: Mesh, name: str) -> tuple[Floats, str]:
 
     Raises
     ------
-    RuntimeError
+    MsalError
         where the command fails.
     """
-    data, record = denoise_bytes(to_ply(mesh), "scan.ply", _settings(name))
-    if data is None:
-        raise RuntimeError(f"{name}: {record.error}")
-    reason = record.choice.reason if record.choice is not None else ""
+    run = FileRun("scan.ply", _settings(name))
+    data = run.denoise(to_ply(mesh), None).data
+    reason = run.record.choice.reason if run.record.choice is not None else ""
     return codecs.open_mesh(data, "scan.ply").vertices, reason
 
 

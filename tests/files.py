@@ -15,12 +15,26 @@ from types import ModuleType
 
 import pytest
 
+from msal_cli.job.pipeline import FileRun
+from msal_cli.job.records import MeshRecord
+from msal_cli.job.settings import Settings
+from msal_cli.storage.regular import Buffer
+
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
 
 SAMPLES = ROOT / "sample_meshes"
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX: links, pipes or signals")
+
+
+def denoise_bytes(data: bytes, name: str, settings: Settings) -> tuple[Buffer | None, MeshRecord]:
+    """The output for the bytes of a file, None if that failed, and its record."""
+    run = FileRun(name, settings)
+    try:
+        return run.denoise(data, None).data, run.finish(None)
+    except Exception as error:
+        return None, run.fail(error)
 
 
 def make_files(folder: Path, *names: str) -> None:

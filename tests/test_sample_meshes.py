@@ -16,12 +16,11 @@ import pytest
 from benchmarks.hostile_headers import MOST_BYTES, MOST_SECONDS, lies, refused
 from msal_cli import codecs
 from msal_cli.codecs import detection
-from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
 from tests.codecs import test_gltf, test_obj, test_off, test_ply, test_stl, test_threemf, test_vtk
-from tests.files import SAMPLES, load_script
+from tests.files import SAMPLES, denoise_bytes, load_script
 from tests.fuzz import survival
 from tests.job.test_pipeline import settings
 from tests.storage import test_gzip_streams
@@ -99,7 +98,7 @@ def meshes_in(folder: Path) -> list[Path]:
 
 def require_same(name: str, data: bytes) -> None:
     """Through the whole way of a file; a small one also displaced, encoded anew and read again."""
-    output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
+    output, record = denoise_bytes(data, name, settings(iterations=0))
     assert record.error is None, record.error
     assert record.status == "unchanged"
     assert output is not None and bytes(output) == data
@@ -166,7 +165,7 @@ MALFORMED = {
 @pytest.mark.parametrize("name", MALFORMED)
 def test_the_record_has_the_code_and_the_reason(name):
     data, code, place = MALFORMED[name]
-    output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
+    output, record = denoise_bytes(data, name, settings(iterations=0))
     assert output is None
     assert record.status == "failed"
     error = record.error

@@ -6,14 +6,12 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
-from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError, UsageError
+from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
 from msal_cli.job.output import write_output
-from msal_cli.job.records import Failure
 from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format, suffix
 from msal_cli.storage.regular import largest_bytes
 from msal_cli.storage.urls import is_url
@@ -113,22 +111,20 @@ def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> M
     BrokenPipeError if standard output is not read.
     """
     from msal_cli.codecs import header
-    from msal_cli.job.pipeline import denoise_bytes, start_record
+    from msal_cli.job.pipeline import FileRun
 
-    name, target = task.input, None if task.output == STREAM else task.output
-    record = start_record(name, settings)
+    name, target = task.input, task.output
+    run = FileRun(name, settings, on_progress)
     try:
         data = read_stream() if name == STREAM else header.read_input(name, settings.format)
-        output, record = denoise_bytes(data, name, settings, on_progress, target)
-        if output is None:
-            return record
-        if target is None:
-            console.put_bytes(output)
-            return replace(record, output=STREAM)
-        # What the shell redirects to standard input may be a private file, too.
-        write_output(target, output, sources=[0])
-        return record
-    except UsageError:
+        made = run.denoise(data, None if target == STREAM else target)
+        if target == STREAM:
+            console.put_bytes(made.data)
+        else:
+            # What the shell redirects to standard input may be a private file, too.
+            write_output(target, made.data, sources=[0])
+        return run.finish(target)
+    except (UsageError, BrokenPipeError):
         raise
-    except MsalError as error:
-        return replace(record, status="failed", output=None, error=Failure.of(error))
+    except Exception as error:
+        return run.fail(error)

@@ -89,22 +89,6 @@ def denoise_file(
         return run.fail(error)
 
 
-def denoise_bytes(
-    data: Buffer,
-    name: str,
-    settings: Settings,
-    on_progress: OnProgress | None = None,
-    output_path: str | None = None,
-) -> tuple[Buffer | None, MeshRecord]:
-    """Denoise a file that came through a pipe, or goes to one (``output_path`` is None); the output
-    is None if the record is a failure."""
-    run = FileRun(name, settings, on_progress)
-    try:
-        return run.denoise(data, output_path).data, run.finish(output_path)
-    except Exception as error:
-        return None, run.fail(error)
-
-
 class FileRun:
     """One file on its way: its record so far, and the seconds of its stages.
 

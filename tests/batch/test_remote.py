@@ -10,7 +10,6 @@ from msal_cli.batch.manifest import PARTS_FOLDER, ObjectManifest, done_line, int
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, UsageError
-from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
@@ -19,7 +18,7 @@ from tests.batch.fakes import InProcess
 from tests.batch.test_manifest import read_names
 from tests.batch.test_run import obj
 from tests.cli.scans import closed_scan, msal, msal_on
-from tests.files import tree
+from tests.files import denoise_bytes, tree
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 pytestmark = pytest.mark.usefixtures("empty_store")

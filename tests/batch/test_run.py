@@ -23,13 +23,12 @@ from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.errors import UsageError
 from msal_cli.job import room
-from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.campaigns import runs
 from tests.codecs import plain_obj
-from tests.files import posix, tree
+from tests.files import denoise_bytes, posix, tree
 from tests.shapes import noisy, torus
 
 SETTINGS = Settings("fake", {"n": 1})

@@ -23,7 +23,7 @@ from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
 from tests.codecs.patching import rewritten
 from tests.codecs.plain_glb import Scene, content_of
-from tests.files import posix, tree
+from tests.files import denoise_bytes, posix, tree
 from tests.job.test_pipeline import settings
 from tests.shapes import cube, noisy, torus
 
@@ -170,13 +170,13 @@ def test_a_link_does_not_lead_the_output_away(tmp_path):
 
 
 def test_streams_hold_embedded_buffers_only(tmp_path):
-    output, record = pipeline.denoise_bytes(embedded(), "-", settings(format="gltf"))
+    output, record = denoise_bytes(embedded(), "-", settings(format="gltf"))
     assert record.error is None and output is not None
     source = in_folder(tmp_path)
-    output, record = pipeline.denoise_bytes(source.read_bytes(), "-", settings(format="gltf"))
+    output, record = denoise_bytes(source.read_bytes(), "-", settings(format="gltf"))
     assert record.error is not None and record.error.code == "E_UNSUPPORTED"
     assert "without its folder" in record.error.message
-    output, record = pipeline.denoise_bytes(source.read_bytes(), str(source), settings())
+    output, record = denoise_bytes(source.read_bytes(), str(source), settings())
     assert record.error is not None and "a folder only" in record.error.message
     task = Task(str(source), "s3://bucket/scan.gltf", "scan.gltf")
     record = pipeline.denoise_file(task, settings())

@@ -8,10 +8,10 @@ from msal_cli.codecs.conversion import convert
 from msal_cli.errors import UsageError
 from msal_cli.job import constraints
 from msal_cli.job.constraints import select_vertices
-from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, prepare_mesh
+from tests.files import denoise_bytes
 from tests.job.test_pipeline import settings
 from tests.ply_files import to_ply
 from tests.shapes import grid, torus

@@ -19,6 +19,7 @@ from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_n
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
 from tests.codecs import plain_obj, plain_stl
+from tests.files import denoise_bytes
 from tests.ply_files import to_ply
 from tests.shapes import noisy, torus
 
@@ -121,7 +122,7 @@ def test_threads_pipes_and_gzip_give_the_same_bytes(scan, tmp_path, monkeypatch)
     denoised(scan, outs[0])
     monkeypatch.setenv("MSAL_THREADS", "3")
     denoised(scan, outs[1])
-    data, record = pipeline.denoise_bytes(
+    data, record = denoise_bytes(
         scan.read_bytes(), "standard input", settings(format=scan.suffix[1:])
     )
     assert record.error is None
