@@ -118,7 +118,8 @@ def _layout(scene: gltf_scene.Scene) -> mesh_file.Layout:
             slots.values, f"accessor {part.positions.index}, vertex {{}}".format
         )
         own = np.concatenate(list(part.triangles.values()))
-        faces.append(own + np.int32(first))
+        turned = mesh_file.keep_winding(own, frame) if is_framed else own
+        faces.append(turned + np.int32(first))
         if part.normals is not None:
             linear = frame[:3, :3] if is_framed else np.eye(3)
             normals.append((own, part.normals.slots(scene.data), linear, first))

@@ -125,6 +125,12 @@ def is_placed(frame: Floats) -> bool:
     return not np.array_equal(frame, _IDENTITY)
 
 
+def keep_winding(faces: Ints | Longs, frame: Floats) -> Ints | Longs:
+    """Triangles (m, 3) with normals that point to the same side of the surface in a frame: where it
+    mirrors, the corners change their order."""
+    return faces[:, [0, 2, 1]] if np.linalg.det(frame[:3, :3]) < 0.0 else faces
+
+
 def transform(points: Floats, frame: Floats) -> Floats:
     """Points (n, 3) after a transform; bit for bit the same for the identity.
 

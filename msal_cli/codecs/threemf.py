@@ -114,7 +114,9 @@ class ThreeMfFile(mesh_file.MeshFile):
             tuple(positions),
             frames=tuple(frames) if is_framed else (),
             properties=tuple(dict.fromkeys(filter(None, properties))),
-            faces=np.concatenate(faces).astype(np.int32),
+            faces=np.concatenate(
+                list(map(mesh_file.keep_winding, faces, frames)) if is_framed else faces
+            ).astype(np.int32),
         )
         super().__init__(text, "3mf", layout)
         self.data, self.unit = data, UNITS[unit]

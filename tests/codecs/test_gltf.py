@@ -402,6 +402,8 @@ def test_parts_stand_where_the_scene_puts_them(frame):
     expected = np.asarray(scene.to_geometry().vertices)
     for axis in range(3):
         assert np.allclose(np.sort(file.vertices[:, axis]), np.sort(expected[:, axis]), atol=1e-5)
+    # No part is inside out, not even one that is mirrored.
+    assert (np.linalg.det(file.vertices[file.faces]).reshape(2, -1).sum(axis=1) > 0.0).all()
     assert file.replaced(file.vertices) is data
     vertices = noisy(file.vertices, 1)
     vertices[40:90] = file.vertices[40:90]

@@ -133,7 +133,7 @@ def parts_of_equal_numbers() -> bytes:
             7,
             '<components><component objectid="1" p:path="/3D/Objects/a.model"/>'
             '<component objectid="1" p:path="/3D/Objects/b.model" '
-            'transform="0 1 0 -1 0 0 0 0 1 10 0 0"/></components>',
+            'transform="0 1 0 1 0 0 0 0 1 10 0 0"/></components>',
         ),
         '<item objectid="7" transform="1 0 0 0 1 0 0 0 1 0 0 5"/>',
         'requiredextensions="p"',
@@ -150,10 +150,11 @@ def test_parts_of_equal_numbers_stay_apart():
     file = threemf.ThreeMfFile(data)
     assert len(file.faces) == 12 + 96
     assert "2 parts" in file.properties
-    # Placed as the build says: turned, shifted, and both lifted.
+    # Placed as the build says: mirrored, so that the corners turn, shifted, and both lifted.
     own = torus(8, 6)[0].round(4)
     assert np.allclose(file.vertices[:8], VERTICES + [0, 0, 5])
-    assert np.allclose(file.vertices[8:], own[:, [1, 0, 2]] * [-1, 1, 1] + [10, 0, 5])
+    assert np.allclose(file.vertices[8:], own[:, [1, 0, 2]] + [10, 0, 5])
+    assert np.linalg.det(file.vertices[file.faces[12:]]).sum() > 0.0
     vertices = noisy(file.vertices, 1)
     vertices[3:20] = file.vertices[3:20]
     output = rewritten(file, vertices)
