@@ -112,11 +112,8 @@ def add_noise(
     ----------
     vertices, faces : a mesh, as for ``denoise``.
     kind : ``gaussian-normal`` (along the vertex normals), ``gaussian`` (in each coordinate),
-        ``uniform`` (in each coordinate, from -level to +level), ``mixed`` (that of Fig. 7 of Huang
-        and Ascher, Inverse Problems 24 (2008): along the normals and as much across),
-        ``impulsive``, ``correlated`` (shared by neighbours), ``view`` (along a direction),
-        ``quantised`` (depths in steps), ``grazing``, ``half``, ``ramp`` or ``outliers``;
-        docs/noise.md explains them.
+        ``uniform``, ``mixed``, ``impulsive``, ``correlated``, ``view``, ``quantised``,
+        ``grazing``, ``half``, ``ramp`` or ``outliers``; docs/commands.md explains them.
     level : standard deviation in mean edge lengths, from 0: greater is noisier.
     seed : whole number from 0; another one gives other noise of the same kind.
     fraction : for impulsive and outliers, the share of the vertices that move, 0 to 1; default 0.1.

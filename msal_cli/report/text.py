@@ -31,10 +31,10 @@ _PROBLEMS = ("Failed", "Broken gates", "Warnings", "No comparison with the refer
 
 _SHAPES = {"3": "triangle", "4": "quad"}
 
-# Heads and their widths, left to right; a file is printed before the next is read.
-_INFO_COLUMNS = (("format", 7), ("vertices", 10), ("faces", 10), ("noise", 6), ("surface", 7))
-_LAST = "problems"
-_ROOM_FOR_PROBLEMS = 12
+# A file is printed before the next is read, so that no column but the first can fit its cells.
+_INFO_LINE = "{}  {:7}  {:>10}  {:>10}  {:>6}  {:7}  {}"
+_INFO_WIDTH = 64
+"""Columns beside the name, 12 of them for problems."""
 
 
 def summary(
@@ -311,39 +311,37 @@ class InfoTable:
     """The lines of a table for files whose paths are known beforehand; ``width`` in columns."""
 
     def __init__(self, paths: Sequence[str], width: int) -> None:
-        taken = sum(size + 2 for _, size in _INFO_COLUMNS) + 2 + _ROOM_FOR_PROBLEMS
         longest = max((columns(file_name(path)) for path in paths), default=0)
-        self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - taken)))
+        self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - _INFO_WIDTH)))
 
     def head(self) -> Line:
-        return Line(self._join("file", [name for name, _ in _INFO_COLUMNS], _LAST), "faint")
+        heads = ("format", "vertices", "faces", "noise", "surface", "problems")
+        return Line(self._join("file", *heads), "faint")
 
     def row(self, record: InfoRecord) -> Line:
         """The line on a file that could be read."""
         noise = record.noise_estimate
-        cells = [
+        pairs = ("pair of faces that intersect", "pairs of faces that intersect")
+        problems = (
+            facts.defects_text(record),
+            format_count(record.self_intersections or None, *pairs),
+            format_count(len(record.warnings) or None, "warning"),
+        )
+        cells = (
             (record.format or "-") + (".gz" if record.compressed else ""),
             figure(record.vertices, ",", unknown="-"),
             figure(record.faces, ",", unknown="-"),
             "-" if noise is None else "none" if noise.negligible else f"{noise.mean_edges:.2g}",
             "-" if record.closed is None else "closed" if record.closed else "open",
-        ]
-        pairs = ("pair of faces that intersect", "pairs of faces that intersect")
-        counts = (
-            facts.defects_text(record),
-            format_count(record.self_intersections or None, *pairs),
-            format_count(len(record.warnings) or None, "warning"),
+            ", ".join(filter(None, problems)),
         )
-        problems = ", ".join(filter(None, counts))
-        return Line(self._join(file_name(record.input), cells, problems))
+        return Line(self._join(file_name(record.input), *cells))
 
     def foot(self) -> Line:
         return Line(
             "(noise in mean edge lengths; -v shows all that is known of each file)", "faint"
         )
 
-    def _join(self, name: str, cells: Sequence[str], last: str) -> str:
-        parts = [pad_name(shorten_name(name, self._name_width), self._name_width)]
-        for cell, (head, size) in zip(cells, _INFO_COLUMNS, strict=True):
-            parts.append(pad_name(cell, size, right=head not in ("format", "surface")))
-        return "  ".join([*parts, last]).rstrip()
+    def _join(self, name: str, *cells: str) -> str:
+        name = pad_name(shorten_name(name, self._name_width), self._name_width)
+        return _INFO_LINE.format(name, *cells).rstrip()
