@@ -10,8 +10,9 @@ weight over the surface and, for some, a rule applied afterwards::
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,46 +21,21 @@ from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 
-KINDS = {
-    "gaussian-normal": "Gaussian along the vertex normals",
-    "gaussian": "Gaussian in each coordinate",
-    "uniform": "uniform in each coordinate, from -level to +level",
-    "mixed": "Gaussian along the normals, and as much along a random direction across them",
-    "impulsive": "Gaussian along the normals, at a fraction of the vertices only",
-    "correlated": "along the normals, shared by neighbours: averaged over one-rings",
-    "view": "along one direction, as from a single scanner position",
-    "quantised": "along one direction, and depths then rounded to multiples of a step",
-    "grazing": "along one direction, more where the surface is seen at a grazing angle",
-    "half": "along the normals, on the half of the mesh that a direction points to",
-    "ramp": "along the normals, growing from nothing to the level along a direction",
-    "outliers": "along the normals, and a fraction of the vertices moved by 1 to 3 edges anywhere",
+KINDS: dict[str, tuple[str, ...]] = {
+    "gaussian-normal": (),  # Gaussian along the vertex normals
+    "gaussian": (),  # Gaussian in each coordinate
+    "uniform": (),  # in each coordinate, as docs/reproduction.md remakes the paper's Table 1
+    "mixed": (),  # along the normals, and as much along a random direction across: Fig. 7
+    "impulsive": ("fraction",),  # along the normals, at a fraction of the vertices only
+    "correlated": ("rings",),  # along the normals, averaged over one-rings
+    "view": ("rings", "direction"),  # along one direction, as from a single scanner position
+    "quantised": ("rings", "direction", "step"),  # the same, depths rounded to steps
+    "grazing": ("rings", "direction"),  # the same, more where the surface is seen at an angle
+    "half": ("rings", "direction", "border"),  # along the normals, where a direction points to
+    "ramp": ("rings", "direction"),  # along the normals, growing from nothing along a direction
+    "outliers": ("rings", "fraction"),  # along the normals; a fraction of the vertices far off
 }
-"""The kinds of noise that ``add_noise`` adds; ``uniform`` is that of the paper's Table 1 as
-docs/reproduction.md remakes it, ``mixed`` that of its Fig. 7."""
-
-OPTIONS = {
-    "impulsive": ("fraction",),
-    "correlated": ("rings",),
-    "view": ("rings", "direction"),
-    "quantised": ("rings", "direction", "step"),
-    "grazing": ("rings", "direction"),
-    "half": ("rings", "direction", "border"),
-    "ramp": ("rings", "direction"),
-    "outliers": ("rings", "fraction"),
-}
-"""The settings that kinds use besides level and seed; others use none."""
-
-
-def refuse_unused(kind: str, names: Iterable[str], prefix: str = "") -> None:
-    """Refuse settings that the kind does not use; UsageError.  ``prefix`` is for options."""
-    for name in names:
-        users = [user for user, settings in OPTIONS.items() if name in settings]
-        if kind in KINDS and kind not in users:
-            raise UsageError(
-                f"{prefix}{name} means nothing for {kind} noise",
-                hint=f"leave it out; it is for {', '.join(users)}",
-            )
-
+"""The kinds of noise that ``add_noise`` adds, and what each uses besides level and seed."""
 
 MAX_RINGS = 100
 """Most averages over one-rings: neighbours then share their noise over some 8 rings."""
@@ -73,7 +49,7 @@ OUTLIER_REACH = (1.0, 3.0)
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """What to add; a kind uses the settings that ``OPTIONS`` names, and ignores the others."""
+    """What to add; a kind ignores the settings that it does not use."""
 
     kind: str  # one of ``KINDS``
     # standard deviation in mean edge lengths: greater is noisier.  Where the noise varies over the
@@ -113,7 +89,7 @@ class AddedNoise:
 
     def describe(self) -> str:
         """The settings that the kind uses, such as "rings 2, direction (0, 0, 1)"."""
-        used = {name: getattr(self, name) for name in OPTIONS.get(self.kind, ())}
+        used = {name: getattr(self, name) for name in KINDS[self.kind]}
         if "rings" in used:
             used["rings"] = self.count_rings()
         if "direction" in used:
@@ -125,6 +101,22 @@ class AddedNoise:
         if self.rings is not None:
             return self.rings
         return 2 if self.kind == "correlated" else 0
+
+
+def build_noise(
+    kind: str, level: float, seed: int, given: Mapping[str, Any], prefix: str = ""
+) -> AddedNoise:
+    """The noise with the settings that are ``given``; UsageError for one that the kind does not
+    use.  ``prefix`` stands before names in messages."""
+    noise = AddedNoise(kind, level, seed, **given)
+    for name in given:
+        if name not in KINDS[kind]:
+            users = ", ".join(user for user, settings in KINDS.items() if name in settings)
+            raise UsageError(
+                f"{prefix}{name} means nothing for {kind} noise",
+                hint=f"leave it out; it is for {users}",
+            )
+    return noise
 
 
 def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:

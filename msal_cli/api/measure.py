@@ -135,19 +135,16 @@ def add_noise(
         as ``denoise``.
     """
     given = locals()
-    from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
+    from msal_cli.analysis.added_noise import build_noise
     from msal_cli.job.output import move_by_noise
 
     with explained_errors():
         mesh = read_mesh(vertices, faces)
-        given = {name: given[name] for name in _READ if given[name] is not None}
-        refuse_unused(kind, given)
-        noise = AddedNoise(
-            kind,
-            to_number(level, "level"),
-            _to_whole_number(seed, "seed"),
-            **{name: _READ[name](value, name) for name, value in given.items()},
-        )
+        settings = {
+            name: read(given[name], name) for name, read in _READ.items() if given[name] is not None
+        }
+        whole = _to_whole_number(seed, "seed")
+        noise = build_noise(kind, to_number(level, "level"), whole, settings)
         moved, _ = move_by_noise(mesh, noise)
         return mesh.to_result(mesh.to_given_type(moved))
 

@@ -172,9 +172,8 @@ def _make_noisy_file(
 
 def _build_noise(request: Request) -> AddedNoise:
     """The noise; UsageError for a setting that the kind does not use."""
-    from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
+    from msal_cli.analysis.added_noise import build_noise
 
     names = ("fraction", "rings", "direction", "step", "border")
     given = {name: value for name in names if (value := getattr(request, name)) is not None}
-    refuse_unused(request.kind, given, "--")
-    return AddedNoise(request.kind, request.level, request.seed, **given)
+    return build_noise(request.kind, request.level, request.seed, given, "--")
