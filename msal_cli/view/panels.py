@@ -70,30 +70,26 @@ def draw_panels(
         2 * words.margin + n_rows * cell[1] + (n_rows - 1) * 2 * words.gap + foot,
     )
     sheet = Pictures.new("RGB", whole, WHITE)
-    draw = ImageDraw.Draw(sheet)
-    room = whole[0] - 2 * words.margin
+    words.draw = ImageDraw.Draw(sheet)
     for at, (image, title, lines) in enumerate(panels):
         left = words.margin + (at % columns) * (cell[0] + words.gap)
         y = words.margin + (at // columns) * (cell[1] + 2 * words.gap)
-        words.write(draw, (left, y), title, TEXT, width, words.title)
+        words.write((left, y), title, TEXT, width, words.title)
         y += words.title_height
         across, down = (width - image.shape[1]) // 2, (height - image.shape[0]) // 2
         sheet.paste(Pictures.fromarray(image), (left + across, y + down))
-        y += height + words.gap // 2
-        for line in lines:
-            words.write(draw, (left, y), line, FAINT, width)
-            y += words.line_height
-        if legend is not None and at == len(panels) - 1:
-            _draw_legend(draw, words, legend, (left, y), width)
+        y = words.write_lines((left, y + height + words.gap // 2), lines, width)
+    if legend is not None:
+        _draw_legend(words, legend, (left, y), width)
     y = whole[1] - words.margin - len(footer) * words.line_height
-    for line in footer:
-        words.write(draw, (words.margin, y), line, FAINT, room)
-        y += words.line_height
+    words.write_lines((words.margin, y), footer, whole[0] - 2 * words.margin)
     return np.asarray(sheet)
 
 
 class _Words:
-    """Sizes in pixels of what surrounds panels of a certain width."""
+    """Sizes in pixels of what surrounds panels of a certain width, and what is written there."""
+
+    draw: ImageDraw
 
     def __init__(self, width: int) -> None:
         text = min(22, max(10, round(width / 28)))
@@ -107,7 +103,6 @@ class _Words:
 
     def write(
         self,
-        draw: ImageDraw,
         place: tuple[float, float],
         text: str,
         colour: tuple[int, int, int],
@@ -117,16 +112,20 @@ class _Words:
     ) -> None:
         """Draw a line of ``text`` at ``place``, shortened to ``width``."""
         plain, font = fit_text(text, size or self.text, width)
-        draw.text(place, plain, fill=colour, font=font, anchor=anchor)
+        self.draw.text(place, plain, fill=colour, font=font, anchor=anchor)
+
+    def write_lines(self, place: tuple[int, int], lines: Sequence[str], width: int) -> int:
+        """Draw faint lines below one another; how far down the next one would be."""
+        left, y = place
+        for line in lines:
+            self.write((left, y), line, FAINT, width)
+            y += self.line_height
+        return y
 
 
-def _draw_legend(
-    draw: ImageDraw, words: _Words, legend: Legend, place: tuple[int, int], width: int
-) -> None:
-    left, y = place[0], place[1] + words.gap // 2
-    for line in legend.lines:
-        words.write(draw, (left, y), line, FAINT, width)
-        y += words.line_height
+def _draw_legend(words: _Words, legend: Legend, place: tuple[int, int], width: int) -> None:
+    draw, left = words.draw, place[0]
+    y = words.write_lines((left, place[1] + words.gap // 2), legend.lines, width)
     # Words at the ends extend beyond the scale by half their width.
     ends = [word for _, *both in legend.ticks for word in both]
     longest = max(
@@ -145,10 +144,10 @@ def _draw_legend(
     for share, above, below in legend.ticks:
         x = round(first + share * (last - 1 - first))
         draw.line([(x, top - 4), (x, top - 1)], fill=FAINT)
-        words.write(draw, (x, top - 6), above, TEXT, each, anchor="ms")
+        words.write((x, top - 6), above, TEXT, each, anchor="ms")
         if below:
             draw.line([(x, bottom + 1), (x, bottom + 4)], fill=FAINT)
-            words.write(draw, (x, bottom + 7), below, TEXT, each, anchor="ma")
+            words.write((x, bottom + 7), below, TEXT, each, anchor="ma")
 
 
 # Words: the font that comes with Pillow, and what it cannot draw

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.kernels import z_buffer
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
+from msal_cli.kernels.welding import used_vertices
 
 # Where from
 
@@ -98,9 +99,7 @@ def choose_camera(
     else:
         turn, tilt = _ANGLES[view]
         turn, tilt = turn + (turn_deg or 0.0), tilt + (tilt_deg or 0.0)
-    is_used = np.zeros(len(vertices), dtype=bool)
-    is_used[faces.reshape(-1)] = True
-    points = vertices[is_used]
+    points = vertices[used_vertices(len(vertices), faces)]
     if also is not None:
         points = np.concatenate([points, also])
     return frame_vertices(rotate(stance.front, stance.up, turn, tilt), points)

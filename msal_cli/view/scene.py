@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.analysis.measures import used_vertices
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.colours import colour_table
 from msal_cli.kernels.geometry import face_normals
@@ -74,12 +75,12 @@ def encode_scene(
     shares = (
         after is not None
         and len(before.vertices) == len(after.vertices)
-        and (before.faces is after.faces or np.array_equal(before.faces, after.faces))
+        and np.array_equal(before.faces, after.faces)
     )
     meshes = [before] if after is None or shares else [before, after]
     drawn = [coarsen(mesh.vertices, mesh.faces, max_faces) for mesh in meshes]
     stays, coarse = drawn[0]
-    low, step = _grid(before, after, Mesh(before.vertices[stays], coarse))
+    low, step = _grid(before, after, before.vertices[stays][coarse[:, :2]])
     entries: list[dict[str, int | bool]] = []
     planes: list[bytes] = []
     selections = []
@@ -123,16 +124,14 @@ def encode_scene(
     )
 
 
-def _grid(before: Mesh, after: Mesh | None, drawn: Mesh) -> tuple[Floats, float]:
-    """The corner and the step of a grid that both meshes are rounded to."""
-    meshes = [before] if after is None else [before, after]
-    corners = [mesh.vertices[mesh.faces.reshape(-1)] for mesh in meshes]
-    low = np.min([part.min(axis=0) for part in corners], axis=0)
-    high = np.max([part.max(axis=0) for part in corners], axis=0)
-    extent = float((high - low).max())
+def _grid(before: Mesh, after: Mesh | None, ends: Floats) -> tuple[Floats, float]:
+    """The corner and the step of a grid that both meshes are rounded to; ``ends`` (k, 2, 3) are
+    those of edges that are drawn."""
+    points = np.concatenate([used_vertices(mesh) for mesh in (before, after) if mesh is not None])
+    low, extent = points.min(axis=0), float(np.ptp(points, axis=0).max())
     if extent == 0.0:
         return low, 1.0
-    edges = drawn.vertices[drawn.faces[:, 1]] - drawn.vertices[drawn.faces[:, 0]]
+    edges = ends[:, 1] - ends[:, 0]
     edge = float(np.sqrt((edges * edges).sum(axis=1)).mean()) if len(edges) else 0.0
     return low, max(edge / STEPS_PER_EDGE, extent / _MAX_STEPS)
 
