@@ -369,7 +369,7 @@ def test_many_pieces_that_share_one_array_are_refused(monkeypatch):
 DOCTYPE = b'<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]>'
 ZLIB = vtu(XmlWriter("base64", "zlib"))
 DAMAGED_XML = {
-    "xml.vtu": (b"<?xml version='1.0'?><VTKFile type='UnstructuredGrid'></VTKFile>", "E_FORMAT"),
+    "xml.vtu": (b"<?xml version='1.0'?><VTKFile type='UnstructuredGrid'></VTKFile>", "E_NO_FACES"),
     "cut.vtu": (vtu(XmlWriter("raw"))[:-2000], "E_TRUNCATED"),
     "cut in an array.vtu": (ZLIB[: len(ZLIB) // 2], "E_TRUNCATED"),
     "cut in a tag.vtu": (ZLIB[:-3], "E_TRUNCATED"),
