@@ -232,7 +232,7 @@ def denoise(
         x_i <- x_i + tau d_i n_i + lambda_i (v_i - x_i)     eq. (2)
 
     tau = K^j (6) and lambda_i = sigma_i / max sigma (7); ``weights`` scale lambda.  ``"adaptive"``
-    and ``"auto"`` take the candidate with the least error by Stein's estimate (docs/auto.md).
+    and ``"auto"`` take the candidate with the least estimated error (docs/auto.md).
 
     Examples
     --------

@@ -3,13 +3,12 @@
 AL and MSAL with their Wiener and robust schedules are fast, and between them they suit every level
 of noise.  On the noisy meshes of known truth in benchmarks/ground_truth.py AL with the Wiener
 schedule is closer to the truth than any single setting of AL or MSAL, in angles and in positions;
-where texture is as fine as the mesh, the others do better.  So a few candidates run on a part of
-the mesh, Stein's lemma gives the error of each, and the least is taken.
-
-Noise that neighbours share, terraces and spikes are out of their reach.  Linear filters join in
-there, and the error is the distance from what the learned filter makes of the part: that takes too
-long for the whole mesh, but is nearer to the truth than all of them.  Where that is rough all over,
-the mildest linear filter counts as much.  Weak noise of an unknown kind, or shared by direct
+where texture is as fine as the mesh, the others do better.  Noise that neighbours share, terraces
+and spikes are out of their reach, and linear filters join in.  So a few candidates run on a part of
+the mesh, and the one is taken that is nearest to what the learned filter makes of the part: that
+takes too long for the whole mesh, but is nearer to the truth than all of them.  Where it is rough
+all over under noise that is not white, the mildest linear filter counts as much.  Weak noise of an
+unknown kind, or shared by direct
 neighbours, looks like fine relief: there only settings that pull to the scan are tried, since
 linear filters would shrink thin parts by more than the noise.
 
@@ -21,23 +20,18 @@ import dataclasses
 
 import numpy as np
 
-from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.arrays import Floats
 from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
-from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
-from msal_cli.auto.noise_model import NoiseModel, is_like_draws
-from msal_cli.auto.risk import CandidateRuns, SteinRisk
-from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
+from msal_cli.auto.candidates import LEARNED, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
+from msal_cli.auto.noise_model import is_like_draws
+from msal_cli.auto.risk import CandidateRuns
+from msal_cli.auto.sample_patch import MACHINED, TEXTURED, select_patch, surface_kind
 from msal_cli.mesh import Mesh
 
 PART = 4_000
 """Vertices that candidates run on."""
-
-PROBES = 1
-"""One probe of the divergence is enough: the candidates are few, and far apart."""
-
 
 ROBUST_MSAL = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
 
@@ -52,12 +46,11 @@ WEAK = 0.15
 On statues with 0.05 to 0.1 of noise they moved thin parts by 0.1 to 0.3."""
 
 MARGIN = 0.15
-"""By how much less the logarithms of both errors of another candidate have to be than those of the
-usual one where noise is drawn: one probe scatters by 0.1."""
-
+"""By how much less the logarithms of the squared errors of another candidate have to be than those
+of the usual one where noise is drawn: the learned filter smooths relief, as linear ones do."""
 
 TILTS = 0.8
-"""How much of the score are angles where the learned filter stands for the truth: its normals are
+"""How much of the score are angles: the normals of the learned filter are
 nearer to that than its positions, which keep what neighbours share.  On the scans of
 benchmarks/choices.py angles fell by 1.6 % for those it was chosen on, by 1 % for the others."""
 
@@ -108,9 +101,6 @@ def _choose_by_risk(
     level, mesh = max(height, loudest) / edge, case.mesh
     what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
-    method = methods.find(FLATTENER.method)
-    flat = method.denoise(part.mesh, method.validate(FLATTENER.given))
-    surface = surface_kind(part.mesh.with_vertices(flat.vertices))
     model = case.model.on_part(part.numbers)
     done = total = 0
 
@@ -121,39 +111,42 @@ def _choose_by_risk(
 
     runs = CandidateRuns(part, model, count, level * edge / part.mesh.mean_edge_length)
     is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
-    is_rough = not is_drawn and surface_kind(runs.result(ROBUST_LEARNED)) == TEXTURED
+    true = runs.result(LEARNED if is_drawn else ROBUST_LEARNED)
+    surface = surface_kind(true)
+    if surface == TEXTURED and not is_drawn:
+        both = runs.positions([ROBUST_LEARNED, LINEAR[0]], np.array([0.5, 0.5]))
+        true = true.with_vertices(both)
     candidates = _candidates(case, level, noise, is_unsure, is_drawn)
-    total = len(candidates) * (2 if is_drawn else 1) + 1
+    total = len(candidates) + 1
     shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
-    if is_drawn:
-        judge = runs.by_stein(candidates, runs.result(candidates[0]).vertices, PROBES)
-        risk = judge.risk()
-        places, tilts = risk.log_errors(FLOOR)
-        errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * model.height(part.judged)
-        if case.levels:
-            places, tilts, weights = _rate_by_level(case, part, judge, model)
-        # 0 is the error of the input.
-        scores = places + tilts
-        if is_unsure:
-            measures = (risk.positions, risk.slopes)
-            shares = np.min(
-                [
-                    [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
-                    for some in measures
-                ],
-                axis=0,
-            )
-            moved = shares**2 * np.diag(risk.positions.gram)
-            if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
-            scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
-        scores[0] -= MARGIN
+    moves = [runs.moves(candidate) for candidate in candidates]
+    if case.levels:
+        weights = _weigh_by_level(case, runs, candidates, true)
+        local = case.local if part.numbers is None else case.local[part.numbers]
+        moves = [
+            np.interp(local, case.levels, column)[:, None] * move
+            for column, move in zip(weights.T, moves, strict=True)
+        ]
+    places, tilts, errors = runs.compare(moves, true)
+    if is_unsure:
+        risk = runs.rate(candidates, true, part.judged)
+        measures = (risk.positions, risk.slopes)
+        shares = np.min(
+            [
+                [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
+                for some in measures
+            ],
+            axis=0,
+        )
+        moved = shares**2 * np.diag(risk.positions.gram)
+        if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
+        scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
     else:
-        pilots = [ROBUST_LEARNED, LINEAR[0]] if is_rough else [ROBUST_LEARNED]
-        true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
-        places, tilts, errors = runs.compare(candidates, part.mesh.with_vertices(true))
+        scores = 2.0 * ((1.0 - TILTS) * places + TILTS * tilts)
+        if is_drawn:
+            scores[0] -= MARGIN
         # What is farther from the truth than the input, in either measure, would be harm.
-        both = 2.0 * ((1.0 - TILTS) * places + TILTS * tilts)
-        scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, both)
+        scores[np.maximum(places, tilts) > 0.0] = np.inf
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
         what += "; every setting would add more error than it takes away"
@@ -195,30 +188,19 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
     return any_s + s_per_million * n_vertices / 1e6
 
 
-def _rate_by_level(
-    case: Case, part: Part, judge: SteinRisk, model: NoiseModel
-) -> tuple[Floats, Floats, Floats]:
-    """Logarithms of the squared errors of positions and slopes of every setting (k,), with as much
-    of it as is best at each level of local noise, and all of it where there is most; and these
-    weights (levels, k)."""
-    squares, rows, total = [], [], 0.0
-    for level, judged in enumerate(blends.level_masks(part, case.local, case.levels), start=1):
-        risk = judge.risk(judged)
-        moved = np.maximum(np.diag(risk.positions.gram), FLOOR)
-        row = np.clip(risk.positions.gain / moved, 0.0, 1.0).round(2)
-        if level == len(case.levels) or judged.sum() < blends.MIN_JUDGED:
-            row = np.ones_like(row)
-        energy = float(judged.sum()) * model.variance(judged)
-        total += energy
-        rows.append(row)
-        squares.append(
-            [
-                energy * (1.0 - 2.0 * row * part_risk.gain + row**2 * np.diag(part_risk.gram))
-                for part_risk in (risk.positions, risk.slopes)
-            ]
-        )
-    places, tilts = np.log(np.maximum(np.sum(squares, axis=0) / total, FLOOR))
-    return places, tilts, np.array(rows)
+def _weigh_by_level(
+    case: Case, runs: CandidateRuns, candidates: list[Candidate], true: Mesh
+) -> Floats:
+    """How much of every setting is best at each level of local noise if ``true`` is the surface,
+    and all of it where there is most: weights (levels, k)."""
+    rows = np.ones((len(case.levels), len(candidates)))
+    masks = blends.level_masks(runs.part, case.local, case.levels)
+    for row, judged in zip(rows[:-1], masks[:-1], strict=True):
+        if judged.sum() >= blends.MIN_JUDGED:
+            positions = runs.rate(candidates, true, judged).positions
+            moved = np.maximum(np.diag(positions.gram), FLOOR)
+            row[:] = np.clip(positions.gain / moved, 0.0, 1.0).round(2)
+    return rows
 
 
 def _candidates(

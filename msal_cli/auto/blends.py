@@ -44,7 +44,7 @@ TOLERANCE = 1e-9
 def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Floats:
     """Weights (k,) >= 0 of sum <= 1 for the k filters; what is left belongs to the input.
 
-    What is least is the sum over ``risks``, each times its importance, of
+    What is least is the sum over ``risks`` of
 
         (1 - slopes) log(error of positions) + slopes log(error of slopes)
 
@@ -57,7 +57,7 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
     drift : how much the squared mean move of the surface counts, in parts of the positions' error.
     """
     count = len(risks[0].drift)
-    shares = [(risk.importance * (1.0 - slopes), risk.importance * slopes) for risk in risks]
+    shares = [(1.0 - slopes, slopes)] * len(risks)
     weights = np.zeros(count)
     for _ in range(ROUNDS):
         gram = RIDGE * np.eye(count)
@@ -69,8 +69,8 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
         weights = least_over_simplex(gram, gain)
         shares = [
             (
-                risk.importance * (1.0 - slopes) / max(risk.positions.at(weights), FLOOR),
-                risk.importance * slopes / max(risk.slopes.at(weights), FLOOR),
+                (1.0 - slopes) / max(risk.positions.at(weights), FLOOR),
+                slopes / max(risk.slopes.at(weights), FLOOR),
             )
             for risk in risks
         ]

@@ -146,8 +146,3 @@ def wiener_al(level: float, rings: int = 0) -> Candidate:
         "mollify": 2 if level > STRONG_EDGES else 1,
     }
     return Candidate("al", given, 2.0, takes_noise=True)
-
-
-FLATTENER = Candidate("bilateral_normal", {"similarity": 0.45, "iterations": 10, **_SLIDING}, 12.0)
-"""Shows what kind of surface is beneath noise of up to 0.3 mean edge lengths: of the sample meshes
-only the bracket comes out machined."""

@@ -8,14 +8,13 @@ One draw is a field of heights along a direction, with a colour and a level by r
     a  the vertex normals, or one axis; isotropic noise has three such fields, one per coordinate
     level_i  one level, or that of the region
 
-Stein's lemma and simulations need only draws from it.
+Simulations need only draws from it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,7 +55,7 @@ class NoiseModel:
 
     @property
     def is_gaussian(self) -> bool:
-        """Whether Stein's lemma holds for it."""
+        """Whether its heights are Gaussian."""
         return not self.step
 
     def along_normals(self) -> NoiseModel:
@@ -91,32 +90,24 @@ class NoiseModel:
         along = normals[judged] @ np.asarray(self.axis)
         return height * math.sqrt(float((along * along).mean())) if len(along) else height
 
+    @property
+    def scale(self) -> Floats:
+        """Standard deviation of the displacements of all vertices, (1, 1) or (n, 1), file units."""
+        shares = np.ones(1) if self.shares is None else self.shares
+        return np.asarray(self.level * shares[:, None])
+
     def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """One field of displacements (n, 3), file units; ``normals`` (n, 3) are those of the
         surface without the noise."""
-        return self.displace(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
-
-    def probe(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
-        """A field (n, 3) of the same covariance for measuring a divergence, which scatters less:
-        white noise has numbers of +1 and -1, whose squares are all alike."""
-
-        def signs() -> Floats:
-            return np.where(generator.random(len(mesh.vertices)) < 0.5, -1.0, 1.0)
-
-        return self.displace(mesh, normals, signs)
-
-    def displace(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
-        """Displacements (n, 3) made of ``numbers``, uncorrelated (n,) of variance 1 at each
-        call."""
         count = 3 if self.direction == ISOTROPIC else 1
-        fields = [share_over_rings(mesh, numbers(), self.rings) for _ in range(count)]
+        n = len(mesh.vertices)
+        fields = [
+            share_over_rings(mesh, generator.standard_normal(n), self.rings) for _ in range(count)
+        ]
         if self.direction == ISOTROPIC:
-            moves = np.stack(fields, axis=1)
-        else:
-            along = normals if self.axis is None else np.asarray(self.axis)[None, :]
-            moves = fields[0][:, None] * along
-        scale = self.level if self.shares is None else self.level * self.shares[:, None]
-        return np.asarray(scale * moves)
+            return np.asarray(self.scale * np.stack(fields, axis=1))
+        along = normals if self.axis is None else np.asarray(self.axis)[None, :]
+        return np.asarray(self.scale * (fields[0][:, None] * along))
 
 
 def is_like_draws(noise: NoiseLevel) -> bool:

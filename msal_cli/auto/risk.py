@@ -5,18 +5,11 @@ error over the vertices is a quadratic in w,
 
     |d - (t - y)|^2 = w'Mw - 2 w'b + c,   M_kl = <d_k, d_l>,  b_k = <d_k, t - y>,  c = |t - y|^2
 
-for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
-know them, which err differently:
-
-``SteinRisk`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise>
-is the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u
-that are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction
-and level by region will do.
-
-``SimulatedRisk`` takes a mesh whose truth is known: a first result is taken as the truth, noise of
-the same kind is added to it, and every filter is run on that.  Of noise of an unknown kind that is
-what the first result took away, with the other sign: of the same colour, direction and level
-everywhere.
+for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  So a first
+result is taken as the truth.  ``CandidateRuns.rate`` and ``compare`` do so with the noise that the
+mesh has then, which is for filters much simpler than the first.  ``SimulatedRisk`` adds noise of
+the same kind to it, and every filter is run on that.  Of noise of an unknown kind that is what the
+first result took away, with the other sign: of the same colour, direction and level everywhere.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
 length, which the angles between face normals follow.  Where noise is in all directions the whole
@@ -46,11 +39,8 @@ from msal_cli.methods._sliding import even_out
 Run = Callable[[Mesh], Floats]
 """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
 
-PROBES = 2
-"""Probes of a divergence: with two its scatter is that of the noise itself."""
-
-PROBE_STEP = 0.1
-"""How far a probe moves vertices, in standard deviations of the noise."""
+SEED = 3
+"""Of the noise that is drawn."""
 
 DRAWN, MIRRORED = "drawn", "mirrored"
 """What a simulation adds to a first result."""
@@ -96,19 +86,17 @@ class Risk:
 
     ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean: the
     volume that it sweeps over the area, in standard deviations of the noise.  That of a blend is
-    nearly the sum of its members' drifts, by weight.  ``importance``, from 0, is by how much it
-    counts where there is more than one estimate.
+    nearly the sum of its members' drifts, by weight.
     """
 
     positions: Quadratic
     slopes: Quadratic
     drift: Floats
-    importance: float = 1.0
 
     def of(self, members: Sequence[int]) -> Risk:
         """The same for some of the filters."""
         positions, slopes = self.positions.of(members), self.slopes.of(members)
-        return Risk(positions, slopes, self.drift[list(members)], self.importance)
+        return Risk(positions, slopes, self.drift[list(members)])
 
     def log_errors(self, floor: float) -> tuple[Floats, Floats]:
         """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
@@ -163,66 +151,6 @@ def _gram(rows: Floats) -> Floats:
     return gram
 
 
-class SteinRisk:
-    """The risk of filters by Stein's lemma: each of the ``runs`` on the part, and on its probes.
-
-    ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
-    a smoothed mesh, since strong noise turns its own by 30 degrees, and the gain of a filter would
-    seem a tenth too large.  More ``probes`` scatter less.
-    """
-
-    def __init__(
-        self,
-        part: Part,
-        normals: Floats,
-        runs: Sequence[Run],
-        noise: NoiseModel,
-        on_run: Callable[[], object],
-        probes: int = PROBES,
-    ) -> None:
-        mesh = part.mesh
-        self._part, self._noise, self._normals = part, _at_least(noise, mesh), normals
-        generators = (np.random.Generator(np.random.PCG64(at + 1)) for at in range(probes))
-        self._pushes = [self._noise.probe(mesh, normals, generator) for generator in generators]
-        pushed = [mesh.with_vertices(mesh.vertices + PROBE_STEP * push) for push in self._pushes]
-        self._moves = np.empty((len(runs), *mesh.vertices.shape))
-        self._changes: list[list[Floats]] = []
-        for k, run in enumerate(runs):
-            self._moves[k] = run(mesh)
-            on_run()
-            changes = []
-            for probe in pushed:
-                changes.append((run(probe) - self._moves[k]) / PROBE_STEP)
-                on_run()
-            self._changes.append(changes)
-
-    def risk(self, judged: Flags | None = None) -> Risk:
-        """The risk of blends of all that were added, over the vertices (m,) that are ``judged``;
-        None for those of the part."""
-        judged = self._part.judged if judged is None else judged
-        mesh, moves, inside = self._part.mesh, self._moves, judged[:, None]
-        slopes = _slopes(mesh, self._normals, judged, self._noise.direction == ISOTROPIC)
-        places, turns = np.zeros(len(moves)), np.zeros(len(moves))
-        # The probes' own squares: of coloured ones they scatter as the products do.
-        pushed = turned = np.finfo(float).tiny
-        for at, push in enumerate(self._pushes):
-            some, tilt = np.where(inside, push, 0.0), slopes(push)
-            pushed += _square(some)
-            turned += _square(tilt)
-            for k, changes in enumerate(self._changes):
-                places[k] += float(np.einsum("ij,ij->", some, changes[at]))
-                turns[k] += float(np.einsum("i,i->", tilt, slopes(changes[at])))
-        seen = np.where(inside[None], moves, 0.0)
-        tilted = np.stack([slopes(move) for move in moves])
-        total = max(int(judged.sum()), 1) * self._noise.variance(judged)
-        gram = _gram(seen)
-        return Risk(
-            Quadratic(gram / _at_least_some(total, gram), -places / pushed),
-            Quadratic(_gram(tilted) * (len(self._pushes) / turned), -turns / turned),
-            _drift(mesh, seen, self._noise.level),
-        )
-
-
 class SimulatedRisk:
     """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
@@ -245,7 +173,7 @@ class SimulatedRisk:
         if added == MIRRORED:
             moved = pilot - part.mesh.vertices
         else:
-            generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+            generator = np.random.Generator(np.random.PCG64(SEED))
             moved = self._noise.draw(truth, self._normals, generator)
         self._noisy = truth.with_vertices(pilot + moved)
         self._back = pilot - self._noisy.vertices
@@ -326,6 +254,9 @@ it is 0.93 and more, or that the triangles are uneven by themselves."""
 RELAX_PATCH = 4_000
 """Vertices on which that is judged."""
 
+PROBE_STEP = 0.1
+"""How far a probe moves vertices, in standard deviations of the noise."""
+
 MIN_MEMBER_WEIGHT = 0.01
 """Members of a first result below this weight are left out of it."""
 
@@ -371,13 +302,6 @@ class CandidateRuns:
         """The part as a candidate leaves it."""
         return self.part.mesh.with_vertices(self.part.mesh.vertices + self.moves(candidate))
 
-    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> SteinRisk:
-        """Candidates rated by Stein's lemma, with normals that the part has at ``first``
-        (m, 3)."""
-        normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
-        runs = [self._runner(candidate) for candidate in candidates]
-        return SteinRisk(self.part, normals, runs, self.noise, self._on_run, probes)
-
     def simulate(
         self, candidates: Sequence[Candidate], first: Floats, added: str = DRAWN
     ) -> SimulatedRisk:
@@ -385,16 +309,28 @@ class CandidateRuns:
         runs = [self._runner(candidate) for candidate in candidates]
         return SimulatedRisk(self.part, first, runs, self.noise, added, self._on_run)
 
-    def compare(self, candidates: Sequence[Candidate], true: Mesh) -> tuple[Floats, Floats, Floats]:
-        """Errors of candidates (k,) if ``true`` is the surface of the part: logarithms of the
-        squared errors of positions across the surface and of face normals, in parts of those of
+    def rate(self, candidates: Sequence[Candidate], true: Mesh, judged: Flags) -> Risk:
+        """The risk of candidates over the ``judged`` vertices (m,) if ``true`` is the surface of
+        the part.  How vertices lie within the surface does not count."""
+        mesh, normals = self.part.mesh, true.vertex_normals("uniform")
+        slopes = _slopes(mesh, normals, judged)
+        moves = [true.vertices - mesh.vertices, *map(self.moves, candidates)]
+        heights = np.stack([np.einsum("ij,ij->i", move, normals) for move in moves])[:, judged]
+        tilts = np.stack([slopes(move) for move in moves])
+        places = _known(heights[1:], heights[0])
+        return Risk(places, _known(tilts[1:], tilts[0]), np.zeros(len(candidates)))
+
+    def compare(self, moves: Sequence[Floats], true: Mesh) -> tuple[Floats, Floats, Floats]:
+        """Errors of ``moves`` (k) of (m, 3) if ``true`` is the surface of the part: logarithms of
+        the squared errors of positions across the surface and of face normals, in parts of those of
         the part; and the root mean square of the former, file units.
 
         How vertices lie within the surface does not count.
         """
         across, normals = true.vertex_normals("uniform"), face_normals(true.vertices, true.faces)
         rows = []
-        for vertices in (self.part.mesh.vertices, *(self.result(k).vertices for k in candidates)):
+        for move in (np.zeros(3), *moves):
+            vertices = self.part.mesh.vertices + move
             heights = np.einsum("ij,ij->i", vertices - true.vertices, across)[self.part.judged]
             cosines = np.einsum("ij,ij->i", face_normals(vertices, true.faces), normals)
             angle = float(np.arccos(np.clip(cosines, -1.0, 1.0)).mean())
@@ -424,15 +360,30 @@ class CandidateRuns:
 
 def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
     """Passes that even out triangles before anything else: where noise is in all directions, and
-    takes away what noise adds to the triangles, not what was uneven before."""
+    takes away what noise adds to the triangles, not what was uneven before.
+
+    With Gaussian noise the mean of <move, noise> is the variance times the divergence of the moves
+    (Stein's lemma), which one probe u measures: u . (moves(y + e u) - moves(y)) / e.
+    """
     if noise.direction != ISOTROPIC:
         return 0
     part = select_patch(mesh, RELAX_PATCH)
-    noise, normals = noise.on_part(part.numbers), part.mesh.vertex_normals("uniform")
-    runs = [lambda some: even_out(some, RELAX).vertices - some.vertices]
-    judge = SteinRisk(part, normals, runs, noise, lambda: None, probes=1)
-    left = float(judge.risk().positions.singles()[0])
+    mesh, inside = part.mesh, part.judged
+    noise = noise.on_part(part.numbers)
+    generator = np.random.Generator(np.random.PCG64(1))
+    push = noise.scale * np.where(generator.random(mesh.vertices.shape) < 0.5, -1.0, 1.0)
+    moves = _relaxing_moves(mesh)
+    change = _relaxing_moves(mesh.with_vertices(mesh.vertices + PROBE_STEP * push)) - moves
+    divergence = float(np.einsum("ij,ij->", push[inside], change[inside])) / PROBE_STEP
+    gain = -divergence / max(_square(push[inside]), np.finfo(float).tiny)
+    variance = max(int(inside.sum()), 1) * noise.variance(inside)
+    left = 1.0 - 2.0 * gain + _square(moves[inside]) / max(variance, np.finfo(float).tiny)
     return RELAX if MIN_LEFT <= left <= MAX_LEFT else 0
+
+
+def _relaxing_moves(mesh: Mesh) -> Floats:
+    """What evening out moves the vertices of a mesh by, (m, 3)."""
+    return even_out(mesh, RELAX).vertices - mesh.vertices
 
 
 # Errors of filters that are known already, such as the cells of msal sweep
@@ -448,7 +399,7 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     """The estimated distance of each result from the true surface, root mean square, in mean edge
     lengths of ``mesh``, as of ``Choice.risk``; None where the mesh has no noise to speak of.
 
-    By Stein's lemma where the noise is Gaussian, else by a simulation; see ``risk``.
+    By a simulation with what the learned filter leaves as the truth; see ``SimulatedRisk``.
     """
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
@@ -474,12 +425,8 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
         return lambda mesh: across(method.denoise(mesh, values).vertices - mesh.vertices)
 
     runs = [run_of(given) for given in filters]
-    judge: SteinRisk | SimulatedRisk
-    if is_gaussian:
-        judge = SteinRisk(part, normals, runs, model, lambda: None)
-    else:
-        judge = SimulatedRisk(part, first.vertices, runs, model, MIRRORED, lambda: None)
-    # Stein's estimate scatters about small errors, and may be below zero.
+    added = DRAWN if is_gaussian else MIRRORED
+    judge = SimulatedRisk(part, first.vertices, runs, model, added, lambda: None)
     shares = np.sqrt(np.maximum(judge.risk().positions.singles(), 0.0))
     unit = model.variance(part.judged) ** 0.5 / mesh.mean_edge_length
     return [float(share) * unit for share in shares]

@@ -2,10 +2,9 @@
 
 1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
 2. The learned filter runs on a part of the mesh.  If what it leaves is machined, it is the choice.
-3. Else every candidate runs there.  Stein's lemma gives the error of any blend of them, and a
-   simulation does: the best result so far is taken as the truth, and noise is added to it.
-4. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
-   counts the more the less sure it is what is noise and what is texture.
+3. Else every candidate runs on a simulation: that result is taken as the truth, and noise is added
+   to it, which gives the error of any blend of the candidates.
+4. The best blend is taken, without members that hardly count.
 
 Noise that no draw is like has a shorter search: the learned filter and wide linear ones, on a
 simulation that adds what the learned filter has taken away.
@@ -22,7 +21,7 @@ import numpy as np
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
-from msal_cli.arrays import Flags, Floats
+from msal_cli.arrays import Floats
 from msal_cli.auto import NONE, Choice, OnStep, Wishes, blends
 from msal_cli.auto.candidates import (
     BLIND,
@@ -38,7 +37,7 @@ from msal_cli.auto.candidates import (
     sharpen,
 )
 from msal_cli.auto.noise_model import is_like_draws
-from msal_cli.auto.risk import MIRRORED, PROBES, CandidateRuns, Risk, SimulatedRisk, SteinRisk
+from msal_cli.auto.risk import MIRRORED, CandidateRuns, Risk, SimulatedRisk
 from msal_cli.auto.sample_patch import (
     CLEAN,
     MACHINED,
@@ -69,10 +68,6 @@ that way is up to ``WIDE`` of the level, and where it is all of it: texture coul
 WIDE = 0.3
 """Width of the interval below the level, in parts of it, up to which it is a usual one."""
 
-SURE, UNSURE = 0.13, 0.23
-"""The same width, up to which only the simulation counts, and from which on Stein's risk counts as
-much."""
-
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
 
@@ -84,14 +79,12 @@ MIN_LEARNED = 0.5
 """Sum of weights of the learned filter below which, where neighbours share the noise, all other
 weights are halved, and that filter has the rest: mirrored, such noise looks like shape."""
 
-WEAK = 0.1
-"""White noise in mean edge lengths below which a range scan may have more that neighbours share."""
+WEAK, SURE = 0.1, 0.13
+"""White noise in mean edge lengths below which a range scan may have more that neighbours share,
+and the width up to which it has not."""
 
-_RUNS = 4
-"""Runs of a candidate in a search: its own, two probes, a simulation."""
-
-Judge = tuple[SteinRisk | SimulatedRisk, float]
-"""An estimate of errors, and how much it counts, from 0."""
+_RUNS = 2
+"""Runs of a candidate in a search: its own, and in a simulation."""
 
 HARM = "every filter would add more error than it takes away"
 
@@ -170,16 +163,7 @@ class _Search:
                 is_white = self.noise.character.kind != "unknown"
                 usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
         self._total = _RUNS * len(usable) + 1
-        first = study.result(pilot).vertices
-        judges: list[Judge] = []
-        if len(usable) > 1:
-            # Stein's lemma is for Gaussian noise.
-            is_gaussian = self.model.is_gaussian and not self.noise.is_impulsive
-            if is_gaussian and self._doubt > 0.0:
-                judges.append((study.by_stein(usable, first, PROBES), self._doubt))
-            if judges:
-                first = study.positions(usable, self._best(_risks(judges)))
-        judges.append((study.simulate(usable, first), 1.0))
+        judges = [study.simulate(usable, study.result(pilot).vertices)]
         return self._choice(study, usable, judges, surface)
 
     def _choose_by_mirror(self, surface: str) -> Choice:
@@ -206,9 +190,9 @@ class _Search:
             study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots
         ]
         self.unit = mirrors[0].level
-        return self._choice(study, members, [(judge, 1.0) for judge in mirrors], surface)
+        return self._choice(study, members, mirrors, surface)
 
-    def _by_level(self, part: Part, judges: Sequence[Judge], weights: Floats) -> Floats:
+    def _by_level(self, part: Part, judges: Sequence[SimulatedRisk], weights: Floats) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
         of local noise; one row where noise is the same everywhere."""
         rows = np.tile(weights, (max(len(self.levels), 1), 1))
@@ -219,7 +203,7 @@ class _Search:
             rows, blends.level_masks(part, self.local, self.levels), strict=True
         ):
             if judged.sum() >= blends.MIN_JUDGED:
-                some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
+                some = self._best([judge.risk(judged).of(kept.tolist()) for judge in judges])
                 row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
         # Where there is most noise what the filters do is right as a whole, whatever the judges
         # make of the few vertices there.
@@ -259,15 +243,6 @@ class _Search:
         return is_like and not is_range_scan
 
     @property
-    def _doubt(self) -> float:
-        """Weight of Stein's risk against that of a simulation, 0 to 1.
-
-        A simulation scatters less, but treats all that the first result removed as noise:
-        the wider the noise's interval, the more of that may be texture.
-        """
-        return min(max((self._width - SURE) / (UNSURE - SURE), 0.0), 1.0)
-
-    @property
     def _width(self) -> float:
         """How far below its level the noise may be, in parts of the level."""
         if self.noise.is_uneven:
@@ -299,7 +274,7 @@ class _Search:
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
             places, tilts = risk.log_errors(blends.FLOOR)
-            score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
+            score += (1.0 - self.slopes) * places + self.slopes * tilts
         return score
 
     def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
@@ -343,11 +318,11 @@ class _Search:
         self,
         study: CandidateRuns,
         members: Sequence[Candidate],
-        judges: Sequence[Judge],
+        judges: Sequence[SimulatedRisk],
         surface: str,
     ) -> Choice:
         """The best blend of ``members`` by the judges."""
-        risks = _risks(judges)
+        risks = [judge.risk() for judge in judges]
         weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
         share = self.wishes.share * (_hedge(risks, weights) if self.is_unsure else 1.0)
@@ -361,12 +336,10 @@ class _Search:
         self._on_step(self._total, self._total)
         edge = self.mesh.mean_edge_length
         unit = self.unit / edge
-        counted = [risk for risk in risks if risk.importance > 0.0]
-        # Stein's estimate scatters about small errors, and may be below zero.
-        alone = np.maximum(np.max([risk.positions.singles() for risk in counted], axis=0), 0.0)
+        alone = np.maximum(np.max([risk.positions.singles() for risk in risks], axis=0), 0.0)
         together = None
         if not is_strengthened:
-            squares = [risk.positions.at(share * weights) for risk in counted]
+            squares = [risk.positions.at(share * weights) for risk in risks]
             together = max(*squares, 0.0) ** 0.5 * unit
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if rows[:, k].min() < 1.0][:3]
@@ -400,16 +373,8 @@ def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
     """The share of a blend that is not much worse if there is only texture, in either measure."""
     shares = []
     for measure in ("positions", "slopes"):
-        counted = [getattr(risk, measure) for risk in risks if risk.importance > 0.0]
+        counted = [getattr(risk, measure) for risk in risks]
         gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
         moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
         shares.append(blends.hedge(gain, moved))
     return min(shares)
-
-
-def _risks(judges: Sequence[Judge], judged: Flags | None = None) -> list[Risk]:
-    """The risks by weighted estimators, over the ``judged`` vertices (m,)."""
-    return [
-        dataclasses.replace(judge.risk(judged), importance=importance)
-        for judge, importance in judges
-    ]

@@ -172,8 +172,8 @@ def test_what_is_farther_from_the_pilot_is_not_taken(monkeypatch, places, tilts)
 
 def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
     mesh, _ = torus_with(0.2)
-    errors = np.full(3, 0.1)
-    monkeypatch.setattr("msal_cli.auto.risk.Risk.log_errors", lambda *_: (errors, errors))
+    errors = np.full(6, 0.1)
+    monkeypatch.setattr("msal_cli.auto.risk.CandidateRuns.compare", lambda *_: (errors,) * 3)
     choice = adaptive.choose_adaptive(mesh)
     assert choice.method == NONE
     assert "add more error" in choice.reason
