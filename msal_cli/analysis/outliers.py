@@ -15,6 +15,7 @@ from msal_cli.analysis.noise_estimate import (
     has_flat_edges,
     has_uneven_edges,
 )
+from msal_cli.analysis.noise_estimate.patterns import mirrored_share
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
@@ -59,7 +60,7 @@ of impulsive noise on many vertices are its tail, and a filter that knows of the
 
 MIN_ALIGNED, ALIGNED_SHARE = 3, 0.5
 """How many outliers, and what share of them, with exactly the same coordinate are points of a
-design: corners of its long thin faces."""
+design: corners of its long thin faces; and so is such a share with mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +164,7 @@ class _Search:
         at = mesh.vertices[self.flags].T
         n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in at)
         are_designed = n_aligned >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
+        are_designed |= mirrored_share(mesh, np.flatnonzero(self.flags)) > ALIGNED_SHARE
         are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 

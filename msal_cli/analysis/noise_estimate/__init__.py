@@ -50,7 +50,7 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     Reading,
 )
-from msal_cli.analysis.noise_estimate.patterns import is_patterned
+from msal_cli.analysis.noise_estimate.patterns import is_patterned, mirrored_share
 from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.faces import dihedral_angles, flaps
@@ -129,6 +129,9 @@ MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
 """Where 95 % and 5 % of the edges are below lengths with a greater ratio, as in exports of CAD and
 after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other noise this."""
 
+SURE_UNNAMED = 0.98
+"""The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
+
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
 """Angle in radians up to which an edge is flat to rounding; the share of such edges above which
 noise needs ``SURE_NOISE``; and the cosine to the axis from which noise along it bends a face.  Of
@@ -138,6 +141,10 @@ depths, which are open."""
 
 MAX_OPEN = 0.01
 """Share of the vertices at open edges above which noise along an axis may be of such a scan."""
+
+MIN_MIRRORED = 0.9
+"""Share of the vertices with a mirror image above which a mesh is a design: 0.92 and more on
+skulls, furniture and other models that were made as halves, 0.3 and less on all others."""
 
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
@@ -166,6 +173,9 @@ and depths in steps repeat, too."""
 
 STEPPED = ("staircase", "quantised")
 """Kinds of noise that repeat on slopes."""
+
+BENDING = ("white", "isotropic", "correlated")
+"""Kinds of noise that leave hardly an edge flat."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
 """Kinds of noise that neighbours may share."""
@@ -377,14 +387,14 @@ def characterize(mesh: Mesh) -> Estimate:
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
-    if not is_doubtful and verdict.noise < SURE_NOISE:
-        is_doubtful = not _is_bent(mesh, verdict, evidence)
+    if not is_doubtful and verdict.noise < (SURE_NOISE if is_named else SURE_UNNAMED):
+        is_doubtful = not _is_bent(mesh, verdict, evidence, is_named)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
     has_steps = verdict.kind in STEPPED or evidence.steps.n_axes == 3
-    if not has_steps and is_patterned(mesh, evidence.survey):
+    if not has_steps and (_is_mirrored(mesh, verdict) or is_patterned(mesh, evidence.survey)):
         probability = min(verdict.noise, MAX_PATTERNED)
         return _without_noise(white, 1.0 - probability, "shape that repeats", measured)
     character = NoiseCharacter(
@@ -511,12 +521,18 @@ def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
     return int(np.count_nonzero(is_flat)) > MAX_FLAT * len(corners)
 
 
-def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence) -> bool:
+def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -> bool:
     """Whether hardly any edge is flat that noise of this kind would have bent."""
-    if verdict.kind == "view" and evidence.axis is not None:
+    if is_named and verdict.kind == "view" and evidence.axis is not None:
         is_open = mesh.topology.boundary.mean() > MAX_OPEN
         return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)
-    return verdict.kind not in ("white", "isotropic", "correlated") or not has_flat_edges(mesh)
+    return (is_named and verdict.kind not in BENDING) or not has_flat_edges(mesh)
+
+
+def _is_mirrored(mesh: Mesh, verdict: Verdict) -> bool:
+    """Whether nearly all vertices have mirror images, as noise leaves none; single outliers do."""
+    used = np.flatnonzero(mesh.topology.has_ring)
+    return verdict.kind != "outliers" and mirrored_share(mesh, used) > MIN_MIRRORED
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:

@@ -1,4 +1,5 @@
-"""Shape that repeats: knurls, threads, fabric, layers of a print.  Noise has no wave length.
+"""Shape that repeats: knurls, threads, fabric, layers of a print; and mirror images.  Noise has no
+wave length, and does the same on no two sides.
 
 Around some places the heights over a cubic polynomial are explained by plane waves, the best one
 first, then what is best beside it.  A pattern is explained nearly whole by few waves, and the
@@ -52,6 +53,11 @@ TINY = 1e-4
 
 MIN_INDEPENDENT = 0.005
 """Of the squared size of a wave, below which polynomials and other waves leave nothing of it."""
+
+
+MIRRORED_PLACES, MAX_MIRRORED, NEAR_IMAGE = 200, 200_000, 0.01
+"""Vertices whose mirror images are looked for; vertices of a mesh up to which they are; and how far
+off a vertex may be for one, in mean edge lengths."""
 
 
 def is_patterned(mesh: Mesh, survey: Survey) -> bool:
@@ -171,3 +177,29 @@ def _collect_around(mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> L
         found = np.concatenate([found, last])
     is_met[found] = False
     return found[:MAX_AROUND]
+
+
+def mirrored_share(mesh: Mesh, vertices: Longs) -> float:
+    """Share of some ``vertices`` (k,) that have a mirror image in the mesh, across the middle of
+    its box along an axis of the file; of the best axis.  0 for large meshes."""
+    used = mesh.vertices[mesh.topology.has_ring]
+    if not len(vertices) or len(used) > MAX_MIRRORED:
+        return 0.0
+    chosen = mesh.vertices[vertices[:: -(-len(vertices) // MIRRORED_PLACES)]]
+    twice_middle = used.min(axis=0) + used.max(axis=0)
+    near = NEAR_IMAGE * mesh.mean_edge_length
+    shares = []
+    for axis in range(3):
+        images = chosen.copy()
+        images[:, axis] = twice_middle[axis] - images[:, axis]
+        # Along another axis: designs have many vertices in the mirror plane itself.
+        across = (axis + 1) % 3
+        ordered = used[np.argsort(used[:, across])]
+        first = np.searchsorted(ordered[:, across], images[:, across] - near)
+        last = np.searchsorted(ordered[:, across], images[:, across] + near)
+        has_image = [
+            (np.abs(ordered[start:stop] - image) <= near).all(axis=1).any()
+            for image, start, stop in zip(images, first, last, strict=True)
+        ]
+        shares.append(float(np.mean(has_image)))
+    return max(shares)
