@@ -20,7 +20,7 @@ import dataclasses
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, lend_estimate
 from msal_cli.arrays import Floats
 from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
@@ -101,6 +101,7 @@ def _choose_by_risk(
     level, mesh = max(height, loudest) / edge, case.mesh
     what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
+    lend_estimate(noise, part.mesh)
     model = case.model.on_part(part.numbers)
     done = total = 0
 
