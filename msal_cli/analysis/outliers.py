@@ -15,7 +15,7 @@ from msal_cli.analysis.noise_estimate import (
     has_flat_edges,
     has_uneven_edges,
 )
-from msal_cli.analysis.noise_estimate.patterns import mirrored_share
+from msal_cli.analysis.noise_estimate.patterns import are_mirrored
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
@@ -164,7 +164,7 @@ class _Search:
         at = mesh.vertices[self.flags].T
         n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in at)
         are_designed = n_aligned >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
-        are_designed |= mirrored_share(mesh, np.flatnonzero(self.flags)) > ALIGNED_SHARE
+        are_designed |= are_mirrored(mesh, np.flatnonzero(self.flags), ALIGNED_SHARE)
         are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 

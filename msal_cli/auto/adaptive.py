@@ -8,9 +8,8 @@ and spikes are out of their reach, and linear filters join in.  So a few candida
 the mesh, and the one is taken that is nearest to what the learned filter makes of the part: that
 takes too long for the whole mesh, but is nearer to the truth than all of them.  Where it is rough
 all over under noise that is not white, the mildest linear filter counts as much.  Weak noise of an
-unknown kind, or shared by direct
-neighbours, looks like fine relief: there only settings that pull to the scan are tried, since
-linear filters would shrink thin parts by more than the noise.
+unknown kind, or shared by direct neighbours, looks like fine relief: there only settings that pull
+to the scan are tried, since linear filters would shrink thin parts by more than the noise.
 
 Where there is certainly no noise the mesh stays as it is.  Where the estimate cannot tell noise
 from texture, the setting and the share of it are taken whose error is least in the worse case.
@@ -50,9 +49,9 @@ MARGIN = 0.15
 of the usual one where noise is drawn: the learned filter smooths relief, as linear ones do."""
 
 TILTS = 0.8
-"""How much of the score are angles: the normals of the learned filter are
-nearer to that than its positions, which keep what neighbours share.  On the scans of
-benchmarks/choices.py angles fell by 1.6 % for those it was chosen on, by 1 % for the others."""
+"""How much of the score are angles: the normals of the learned filter are nearer to the truth than
+its positions, which keep what neighbours share.  On the scans of benchmarks/choices.py angles fell
+by 1.6 % for those it was chosen on, by 1 % for the others."""
 
 MILD = 3
 """How many of the linear filters are tried on white noise: wider ones blur."""

@@ -51,7 +51,7 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     Reading,
 )
-from msal_cli.analysis.noise_estimate.patterns import is_patterned, mirrored_share
+from msal_cli.analysis.noise_estimate.patterns import are_mirrored, is_patterned
 from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.faces import dihedral_angles, flaps
@@ -189,6 +189,10 @@ MIN_HEIGHT = 0.01
 """Mean edge lengths that are added to every height, so that those near zero do not rule."""
 
 
+_LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
+"""The noise of parts of meshes, as ``lend_estimate`` has it."""
+
+
 def estimate_noise(mesh: Mesh) -> NoiseLevel:
     """The noise of a mesh.
 
@@ -200,9 +204,6 @@ def estimate_noise(mesh: Mesh) -> NoiseLevel:
     """
     known = _LENT.get(mesh)
     return characterize(mesh).level if known is None else known
-
-
-_LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
 
 
 def lend_estimate(noise: NoiseLevel, part: Mesh) -> None:
@@ -543,7 +544,7 @@ def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -
 def _is_mirrored(mesh: Mesh, verdict: Verdict) -> bool:
     """Whether nearly all vertices have mirror images, as noise leaves none; single outliers do."""
     used = np.flatnonzero(mesh.topology.has_ring)
-    return verdict.kind != "outliers" and mirrored_share(mesh, used) > MIN_MIRRORED
+    return verdict.kind != "outliers" and are_mirrored(mesh, used, MIN_MIRRORED)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
