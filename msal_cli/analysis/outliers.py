@@ -42,6 +42,10 @@ NEW_SHARE = 0.1
 RETURNS = 2
 """Passes that bring back all outliers at once, each among the places of the others."""
 
+FEW_OUTLIERS = 0.002
+"""Share of the vertices up to which outliers hardly change the level of the noise, which is that of
+the flattest places."""
+
 MAX_SHARE = 0.12
 """Share of the vertices beyond which they are noise rather than outliers."""
 
@@ -140,7 +144,11 @@ class _Search:
             if share > MAX_SHARE:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
             # What is not found yet is among the spikes, so they do not count here.
-            are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
+            are_apart = are_apart or (
+                share > USUAL
+                and not self._are_in_noise(share)
+                and self._are_beyond(self._noise().mean_edges)
+            )
             if are_apart and self.floor == BOUND:
                 # The bound gets lower, and scores up to this one were left out.
                 return _Search(mesh, outliers.MIN_SCORE).run()
@@ -172,7 +180,7 @@ class _Search:
         """Whether the others have much less noise than the outliers.  Where none of these is
         certain, there must be noise, and more of them than noise alone seems to have; points of a
         design that were moved look like noise."""
-        if not are_certain and share <= USUAL:
+        if (not are_certain and share <= USUAL) or self._are_in_noise(share):
             return False
         after = self._noise()
         # What looks like noise, and is not, is detail, which outliers exceed as well.
@@ -185,6 +193,12 @@ class _Search:
             return are_certain and not is_design
         is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible
+
+    def _are_in_noise(self, share: float) -> bool:
+        """Whether few outliers went no further than the noise of the mesh as it is, which a choice
+        asks for as well: that of the others need not be estimated."""
+        few = share <= FEW_OUTLIERS
+        return few and not self._are_beyond(estimate_noise(self.mesh).mean_edges)
 
     def _noise(self) -> NoiseLevel:
         """The noise of all others, or of nearly as many."""
