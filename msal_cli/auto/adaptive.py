@@ -97,10 +97,11 @@ def _choose_by_risk(
     # Along the normals, at the loudest places, in edges of the mesh that the method gets.
     loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
     evened = case.mesh.vertices - mesh.vertices
-    level, mesh = max(height, loudest) / edge, case.mesh
+    level, given, mesh = max(height, loudest) / edge, mesh, case.mesh
     what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
-    lend_estimate(noise, part.mesh)
+    if part.mesh is not given:
+        lend_estimate(noise, part.mesh)
     model = case.model.on_part(part.numbers)
     done = total = 0
 
