@@ -62,9 +62,10 @@ APART = 6.0
 """Ways of the outliers, in the median, over the noise of all others, from which that is so: those
 of impulsive noise on many vertices are its tail, and a filter that knows of them does better."""
 
-MIN_ALIGNED, ALIGNED_SHARE = 3, 0.5
+MIN_ALIGNED, ALIGNED_SHARE, TIP_FACES = 3, 0.5, 3
 """How many outliers, and what share of them, with exactly the same coordinate are points of a
-design: corners of its long thin faces; and so is such a share with mirror images."""
+design: corners of its long thin faces.  So are as many that are tips of only ``TIP_FACES`` faces,
+which hardly a vertex of a scan is, and such a share with mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,8 @@ class _Search:
         # Along one of the axes of the file.
         at = mesh.vertices[self.flags].T
         n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in at)
-        are_designed = n_aligned >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
+        n_tips = np.count_nonzero(np.diff(mesh.topology.ring_start)[self.flags] <= TIP_FACES)
+        are_designed = max(n_aligned, n_tips) >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
         are_designed |= are_mirrored(mesh, np.flatnonzero(self.flags), ALIGNED_SHARE)
         are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)

@@ -131,14 +131,18 @@ def test_parts_of_few_vertices_do_not_pass_for_noise(rows, is_negligible):
 
 
 @pytest.mark.parametrize(
-    ("kind", "flat", "is_clean"),
-    [("white", 9, True), ("white", -1, False), ("view", 9, False), ("uneven", 9, False)],
+    ("kind", "flat", "fins", "is_clean"),
+    [("white", 9, 0, True), ("white", -1, 0, False), ("white", -1, 40, True)]
+    + [("view", 9, 0, False), ("uneven", 9, 0, False), ("uneven", 9, 40, True)],
 )
-def test_noise_bends_edges(kind, flat, is_clean, monkeypatch):
+def test_noise_bends_edges_and_leaves_them_manifold(kind, flat, fins, is_clean, monkeypatch):
     verdict = noise_estimate.Verdict(0.85, kind, 0.8, 0.1, 0.1, 0.09, 0.11, 0)
     monkeypatch.setattr(noise_estimate, "classify", lambda numbers, least: verdict)
     vertices, faces = grid(60, 40)
     vertices[:, 2] += 0.1 * np.random.default_rng(3).standard_normal(2400) * (vertices[:, 0] > flat)
+    edges = faces[:: len(faces) // 40, :2][:fins]
+    vertices = np.concatenate([vertices, vertices[edges[:, 0]] + [0.3, 0.4, 1.0]])
+    faces = np.concatenate([faces, np.column_stack([edges, 2400 + np.arange(fins)])])
     assert estimate_noise(prepare_mesh(vertices, faces).mesh).is_negligible == is_clean
 
 

@@ -109,6 +109,26 @@ def test_outliers_of_a_design_are_not_clear(spread, size, is_clear):
     assert found.are_clear == is_clear
 
 
+@pytest.mark.parametrize("are_tips", [False, True])
+def test_tips_of_three_faces_are_of_a_design(are_tips):
+    mesh = torus_mesh()
+    edge, chosen = mesh.mean_edge_length, mesh.faces[700:7000:900]
+    heights = edge * np.linspace(2.0, 3.0, len(chosen))[:, None]
+    vertices = ground_truth.add_plain_noise(mesh, "gaussian-normal", 0.1, 3)
+    faces = mesh.faces
+    tips = vertices[chosen].mean(axis=1) + heights * mesh.vertex_normals()[chosen[:, 0]]
+    if are_tips:
+        new = len(vertices) + np.arange(len(chosen))
+        sides = [np.column_stack([chosen[:, k], chosen[:, k - 2], new]) for k in range(3)]
+        faces = np.concatenate([np.delete(faces, np.s_[700:7000:900], axis=0), *sides])
+        vertices = np.concatenate([vertices, tips])
+    else:
+        vertices[chosen[:, 0]] = tips
+    found = find_outliers(prepare_mesh(vertices, faces).mesh)
+    assert found.count == len(chosen)
+    assert found.are_clear != are_tips
+
+
 @pytest.mark.parametrize(
     ("kind", "level"),
     [

@@ -134,6 +134,10 @@ after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other 
 SURE_UNNAMED = 0.98
 """The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
 
+MAX_NON_MANIFOLD = 0.003
+"""Share of non-manifold edges above which all noise needs ``SURE_UNNAMED``: decimation leaves such
+edges, 0.4 to 5 % on coarse parts of robots, and simulated and real scanners have none."""
+
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
 """Angle in radians up to which an edge is flat to rounding; the share of such edges above which
 noise needs ``SURE_NOISE``; and the cosine to the axis from which noise along it bends a face.  Of
@@ -398,7 +402,11 @@ def characterize(mesh: Mesh) -> Estimate:
         measured = evidence.steps.facing_level
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
-    is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
+    needed = _needed_probability(verdict, measured, evidence)
+    links = mesh.topology
+    if links.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(links.ring):
+        needed = SURE_UNNAMED
+    is_doubtful = is_few or verdict.noise < needed
     if not is_doubtful and verdict.noise < (SURE_NOISE if is_named else SURE_UNNAMED):
         is_doubtful = not _is_bent(mesh, verdict, evidence, is_named)
     if is_doubtful or is_weak:
