@@ -83,6 +83,7 @@ def scan():
     return prepare_mesh(noisy(vertices, 3, 0.1), faces).mesh
 
 
+@pytest.mark.ci
 def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     given = evidence_of(scan)
     descriptors = described(scan, make_evidence=evidence_of)[0]
@@ -111,6 +112,7 @@ def test_faces_without_noise_do_not_count_where_it_is_uneven(scan):
     assert np.abs(globals_of(both, False) - alone).max() > 0.05
 
 
+@pytest.mark.ci
 def test_a_face_without_area_takes_the_normal_of_those_around():
     vertices, faces = grid(6, 6)
     vertices = vertices.astype(float)
@@ -123,6 +125,7 @@ def test_a_face_without_area_takes_the_normal_of_those_around():
     assert (np.abs(vectors[:, :, 2]) > 0.999).all()
 
 
+@pytest.mark.ci
 def test_normals_that_others_do_not_give_are_the_own(scan):
     def without_first(mesh):
         given = same_evidence(mesh)

@@ -46,6 +46,7 @@ def test_scans_know_their_true_normals(scanner, monkeypatch):
     assert np.median(np.einsum("ij,ij->i", truth[has_truth], away)) > 0.97
 
 
+@pytest.mark.ci
 def test_samples_have_targets_along_the_axes_of_their_inputs(samples):
     meshes, (inputs, targets, weights, n_vectors) = samples
     assert inputs.shape[1] == 3 * count_vectors(0) + NUMBERS + STATISTICS + GLOBALS
@@ -81,6 +82,7 @@ def test_gradients_are_those_of_the_loss():
             parameter[place] -= 1e-6
 
 
+@pytest.mark.ci
 def test_training_lowers_the_error_and_repeats_bit_for_bit(samples, monkeypatch):
     meshes, (inputs, targets, weights, n_vectors) = samples
     monkeypatch.setattr(regression, "BATCH", 128)
