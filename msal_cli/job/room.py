@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from msal_cli import auto, codecs, machine
 from msal_cli.codecs import header
+from msal_cli.codecs.detection import refuse_no_mesh
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job.records import Failure, MeshRecord, Planned
@@ -205,13 +206,13 @@ def _is_in_memory(folder: str) -> bool:
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
     """The mesh file in ``data``, and whether gzip compressed it."""
+    refuse_no_mesh(data)  # whatever the name says
     plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
 
 
 def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
-    """The mesh of a surface, fit for computing; ContentError, with the path ``name``, if it is
-    not."""
+    """The mesh of a surface, fit for computing; else ContentError, with the path ``name``."""
     from msal_cli import mesh
 
     are_distinct = surface.merged_vertices > 0
@@ -304,5 +305,4 @@ def _check_header(path: str, format: str | None) -> int | None:
         size = 0  # reading it says why
     if size > LOOKED_AT:
         return None
-    data, _ = gzip_streams.expand(header.read_input(path, format), path)
-    return len(codecs.open_mesh(data, path, format).vertices)
+    return len(open_mesh(header.read_input(path, format), path, format)[0].vertices)

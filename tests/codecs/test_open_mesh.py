@@ -10,6 +10,7 @@ from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.codecs.header import read_header
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.job import room
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
 from tests.ply_files import XYZ, to_ascii_ply
@@ -83,11 +84,11 @@ def test_empty_files(name):
     [("\ufeffply\n", f"utf-16-{end}", "UTF-16", "UTF-8") for end in ("le", "be")]
     + [("version https://git-lfs.github.com/spec/v1\n", "ascii", "Git LFS", "git lfs pull")],
 )
-@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.vtk", "a.gltf", "a"])
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.vtk", "a.gltf", "a.ply.gz", "a"])
 def test_what_is_no_mesh_is_said_to_be_that(name, text, encoding, what, hint):
     data = text.encode(encoding)
     with pytest.raises(FormatError, match=what) as caught:
-        open_mesh(data, name)
+        room.open_mesh(data, name)
     assert hint in caught.value.hint
     assert what in str(read_header(name[2:], data, len(data)).error)
 
