@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,8 +60,10 @@ def draw_panels(
     width = max(image.shape[1] for image, _, _ in panels)
     height = max(image.shape[0] for image, _, _ in panels)
     words = _Words(width)
+    panels = [(image, title, words.wrap(lines, width)) for image, title, lines in panels]
     below = max(len(lines) for _, _, lines in panels) * words.line_height
     if legend is not None:
+        legend = replace(legend, lines=words.wrap(legend.lines, width))
         n_lines = len(panels[-1][2]) + len(legend.lines)
         below = max(below, n_lines * words.line_height + words.scale_height)
     cell = (width, words.title_height + height + words.gap // 2 + below)
@@ -114,6 +117,14 @@ class _Words:
         plain, font = fit_text(text, size or self.text, width)
         self.draw.text(place, plain, fill=colour, font=font, anchor=anchor)
 
+    def wrap(self, lines: Sequence[str], width: int) -> tuple[str, ...]:
+        """The lines, with those that are too long broken at spaces."""
+        rows: list[str] = []
+        for line in lines:
+            is_cut = fit_text(line, self.text, width)[0].startswith("...")
+            rows += wrap(line, round(1.7 * width / self.text)) if is_cut else [line]
+        return tuple(rows)
+
     def write_lines(self, place: tuple[int, int], lines: Sequence[str], width: int) -> int:
         """Draw faint lines below one another; how far down the next one would be."""
         left, y = place
@@ -127,10 +138,9 @@ def _draw_legend(words: _Words, legend: Legend, place: tuple[int, int], width: i
     draw, left = words.draw, place[0]
     y = words.write_lines((left, place[1] + words.gap // 2), legend.lines, width)
     # Words at the ends extend beyond the scale by half their width.
-    ends = [word for _, *both in legend.ticks for word in both]
-    longest = max(
-        (fit_text(word, words.text, width)[1].getlength(word) for word in ends), default=0
-    )
+    ticks, texts = legend.ticks, [word for _, *both in legend.ticks for word in both]
+    lengths = [fit_text(word, words.text, width)[1].getlength(word) for word in texts]
+    longest = max(lengths, default=0)
     inset = round(min(0.5 * longest, 0.2 * width)) + 1
     first, last = left + inset, left + width - inset
     top = y + words.line_height + words.text // 3
@@ -140,8 +150,9 @@ def _draw_legend(words: _Words, legend: Legend, place: tuple[int, int], width: i
         red, green, blue = (int(part) for part in legend.colours[k])
         draw.line([(x, top), (x, bottom)], fill=(red, green, blue))
     draw.rectangle([first - 1, top - 1, last, bottom + 1], outline=FAINT)
-    each = (last - first) // max(1, len(legend.ticks) - 1) - 4
-    for share, above, below in legend.ticks:
+    while (each := (last - first) // max(1, len(ticks) - 1) - 4) < longest and len(ticks) > 2:
+        ticks = ticks[::2]
+    for share, above, below in ticks:
         x = round(first + share * (last - 1 - first))
         draw.line([(x, top - 4), (x, top - 1)], fill=FAINT)
         words.write((x, top - 6), above, TEXT, each, anchor="ms")

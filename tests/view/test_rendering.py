@@ -136,6 +136,12 @@ def plain(colour, width=120, height=80):
     return np.full((height, width, 3), colour, dtype=np.uint8)
 
 
+def test_lines_that_are_too_long_are_broken_at_spaces():
+    line = "Above the scale: file units; below: mean edge lengths (e)"
+    heights = [draw_panels([(plain(9, 100), "", [words])]).shape[0] for words in ("e", line)]
+    assert heights[0] + 30 < heights[1]
+
+
 def test_the_legend_shows_its_colours_in_order():
     ramp = np.stack([np.arange(256), np.zeros(256), 255 - np.arange(256)], axis=1)
     legend = Legend(("how far",), ramp.astype(np.uint8), ((0.0, "0", "0"), (1.0, "3", "0.2")))
