@@ -101,9 +101,9 @@ def build_plan(
     With ``in_place`` every input is its own output (a link's target, where it is a link), and
     ``backup`` is the suffix of the copy that keeps the original; None keeps none.
 
-    ``force`` allows files in the output folder to be replaced that no earlier run put there;
-    ``fresh`` does every file again, ``retry_failed`` those that failed before.  With ``is_set`` the
-    files are those of a tile set.
+    ``force`` allows files in the output folder to be replaced that no earlier run put there, and
+    materials beside earlier outputs; ``fresh`` does every file again, ``retry_failed`` those that
+    failed before.  With ``is_set`` the files are those of a tile set.
 
     Raises UsageError if ``output`` is called like a file of no known format, or like one file for
     several inputs; if two inputs have one output; if an output is an input, a folder, lies outside
@@ -128,6 +128,7 @@ def build_plan(
         tasks = _distinct_tasks(tasks)
         _refuse_collisions(tasks)
     _check_outputs(tasks)
+    tasks = [replace(task, force=True) for task in tasks] if force else tasks
     plan = Plan(tuple(tasks), fresh, retry_failed, is_set=is_set)
     if output is not None and plan.folders():
         if is_url(output):
@@ -229,7 +230,7 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     foreign = [task for task in existing if manifest_key(task) not in own]
     if foreign:
         names = ", ".join(repr(task.output) for task in foreign[:3])
-        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        more = f" and {len(foreign) - 3:,} more" if len(foreign) > 3 else ""
         raise UsageError(
             f"{names}{more} in the output folder "
             "would be overwritten, and no run of msal denoise put it there",

@@ -231,7 +231,8 @@ class FileRun:
             if made.references and not task.in_place:
                 from msal_cli.storage import sidecars
 
-                notes = sidecars.carry(made.references, task.input, task.output)
+                paths = task.input, task.output
+                notes = sidecars.carry(made.references, *paths, force=task.force)
                 marked = (note for note in notes if note.startswith("warning: "))
                 self.warn(*(note.removeprefix("warning: ") for note in marked))
             if made.companions:

@@ -127,6 +127,7 @@ class Task:
     backup: str | None = None
     input_mark: ObjectMark | None = None
     manifest_dir: str | None = None
+    force: bool = False  # materials that an earlier output has beside it are replaced, too
 
     @property
     def backup_path(self) -> str:
@@ -444,8 +445,7 @@ def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> 
 
 
 def parse_format(text: str, label: str, known: Sequence[str]) -> str:
-    """A format in the spelling of those that are ``known``, a leading dot aside; UsageError if it
-    is none."""
+    """A format in the spelling of those ``known``, a leading dot aside; else UsageError."""
     plain = text.lower().lstrip(".")
     if plain in known:
         return plain

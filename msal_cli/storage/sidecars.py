@@ -7,11 +7,11 @@ may carry the same file at once, because meshes of one folder share their materi
 import filecmp
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
-from msal_cli.storage.atomic import write_new
+from msal_cli.storage.atomic import write_new, write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
 
@@ -42,6 +42,8 @@ def carry(
     references: Sequence[str],
     input_path: str | os.PathLike[str],
     output_path: str | os.PathLike[str],
+    *,
+    force: bool = False,
 ) -> tuple[str, ...]:
     """Make sure that the files an input names are found from the output's folder.
 
@@ -56,6 +58,7 @@ def carry(
     ----------
     references : the names, as written in the input.
     input_path, output_path : the mesh files; the output's folder is made where it is missing.
+    force : replace other files, if there is an output already, of which they may be old copies.
 
     Returns what was done, one line for each file; lines that need attention begin with
     ``warning:``.  Raises OutputError with code ``E_SIDECAR`` if another file has the place; with
@@ -64,13 +67,14 @@ def carry(
     if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
         # A second run could not see which run owns a name.
         names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        more = f" and {len(names) - 3:,} more" if len(names) > 3 else ""
         said = f"{', '.join(names[:3])}{more}"
         return (f"warning: not copied to or from an object store: {said}",) if names else ()
     source_folder = Path(input_path).parent
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
+    force = force and os.path.lexists(output_path)
     # Bytes that may still be carried.
     budget = [MAX_BYTES]
     waiting = list(references)
@@ -83,7 +87,7 @@ def carry(
             break
         done.add(reference)
         relative = _relative(reference, source_folder)
-        notes.append(_carry(reference, relative, source_folder, target_folder, budget))
+        notes.append(_carry(reference, relative, source_folder, target_folder, budget, force))
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
         library = source_folder / relative
@@ -128,6 +132,7 @@ def _carry(
     source_folder: Path,
     target_folder: Path,
     budget: list[int],
+    force: bool,
 ) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     if relative is None:
@@ -159,7 +164,7 @@ def _carry(
         return f"warning: {reference} lies outside the output folder and is not found from there"
     if not _is_within(source, source_folder):
         return f"warning: {reference} leads out of the input's folder and is not copied"
-    _copy(source, target)
+    _copy(source, target, write_whole if force else write_new)
     return f"copied {reference}"
 
 
@@ -176,21 +181,21 @@ def _is_within(path: Path, folder: Path) -> bool:
         return False
 
 
-def _copy(source: Path, target: Path) -> None:
-    """Copy a file to a place that is free; a second run finds it taken and compares."""
+def _copy(source: Path, target: Path, write: Callable[..., object]) -> None:
+    """Copy a file, with ``write_new`` to a free place; a second run finds it taken and compares."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with open_regular(source) as stream:
             pieces = iter(lambda: stream.read(_PIECE), b"")
-            is_written = write_new(target, pieces, sources=[source])
-        if not is_written and not _is_same(source, target):
+            is_taken = write(target, pieces, sources=[source]) is False
+        if is_taken and not _is_same(source, target):
             raise OutputError(
                 f"there is another {target.name} beside the output than {source}, which the input "
                 "names",
                 code="E_SIDECAR",
                 path=os.fspath(target),
-                hint="delete it if it is an old copy; write meshes with different materials to "
-                "separate output folders",
+                hint="delete it or give --force if it is an old copy; write meshes with different "
+                "materials to separate output folders",
             )
     except OSError as failure:
         raise OutputError(

@@ -41,7 +41,7 @@ def test_the_library_and_its_textures_come_along(scene):
 
 
 @pytest.mark.parametrize("name", ["mesh.mtl", "tex/bump.png"])
-def test_a_different_file_is_never_overwritten(scene, name):
+def test_a_different_file_is_overwritten_by_force_only(scene, name):
     source, target = scene
     place = target.parent / name
     place.parent.mkdir(parents=True)
@@ -56,6 +56,9 @@ def test_a_different_file_is_never_overwritten(scene, name):
     assert caught.value.code == "E_SIDECAR"
     assert "separate output folders" in caught.value.hint
     assert place.read_bytes() == another
+    target.touch()
+    carry(["mesh.mtl"], source, target, force=True)
+    assert place.read_bytes() == source_of_it.read_bytes()
 
 
 def test_references_that_leave_the_folder(tmp_path):
