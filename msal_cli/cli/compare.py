@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -91,7 +91,7 @@ def command(request: Request) -> int:
     """
     from msal_cli.batch.inputs import discover_inputs
     from msal_cli.cli.report_files import refuse_target
-    from msal_cli.job.comparison import compare_files
+    from msal_cli.job.comparison import compare_files, open_mesh_file
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import need_intersections, parse_gates
@@ -108,7 +108,11 @@ def command(request: Request) -> int:
     patterns = request.include, request.exclude
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
     is_checked = bool(request.checks) or need_intersections(gates)
-    compare = partial(compare_files, format=request.format, with_intersections=is_checked)
+    # The heat map is made of the files that were measured, which may come from afar.
+    open_file = request.open_file = open_mesh_file if heatmap is None else cache(open_mesh_file)
+    compare = partial(
+        compare_files, format=request.format, with_intersections=is_checked, open_file=open_file
+    )
     are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]
     if any(are_folders) and are_folders != [True, True]:
@@ -147,14 +151,14 @@ def command(request: Request) -> int:
 
 
 def _write_heatmap(request: Request) -> None:
-    from msal_cli.job.comparison import build_heatmap, open_mesh_file
+    from msal_cli.job.comparison import build_heatmap
     from msal_cli.job.room import room_for_files
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
     paths, target = (request.before, *request.others), request.heatmap
     with room_for_files(paths, request.format):
-        before, after = (open_mesh_file(path, request.format) for path in paths)
+        before, after = (request.open_file(path, request.format) for path in paths)
         data, low, high = build_heatmap(before, after, request.before)
         with interrupts.catch_signals():
             atomic.write_whole(target, [data], sources=paths)
@@ -221,8 +225,7 @@ def _conclude(
         # Each is there, even if the other fails.
         if request.heatmap is not None and not failures:
             _write_heatmap(request)
-    # A pair that cannot be compared weighs more than a broken gate, and that more than a file
-    # without a partner.
+    # A pair that cannot be compared outweighs a broken gate, and that a file without a partner.
     is_gate_failed = is_any_broken(records) or bool(vanished)
     if is_gate_failed and len(failures) == len(records) - len(present) < len(records):
         return console.GATE_FAILED

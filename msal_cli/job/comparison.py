@@ -1,5 +1,4 @@
-"""Files that are measured, and not denoised: what is in one, and two of them, or two open meshes,
-against each other.
+"""Files that are measured, not denoised: what is in one, and two of them against each other.
 
 Like ``pipeline``, ``inspect_file`` and ``compare_files`` never raise for a file's fault: that
 becomes a record with an error.
@@ -33,7 +32,7 @@ from msal_cli.mesh import PreparedMesh
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
@@ -72,8 +71,7 @@ def inspect_file(
 ) -> InfoRecord:
     """What is in a file, or in its ``data``; one that cannot be read gives a record with an error.
 
-    ``with_intersections`` counts the faces that intersect each other, which takes longer than all
-    the rest.
+    ``with_intersections`` counts the faces that intersect each other, the longest part.
     """
     try:
         with nullcontext() if data is not None else room_for_files((path,), format):
@@ -130,11 +128,11 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
 
 
 def compare_files(
-    before: str, after: str, format: str | None = None, *, with_intersections: bool = False
+    before: str, after: str, format: str | None = None, **options: Any
 ) -> ComparisonRecord:
     """As ``measure_files``; what cannot be read gives a record with an error."""
     try:
-        return measure_files(before, after, format, with_intersections)
+        return measure_files(before, after, format, **options)
     except Exception as error:
         known = to_known_error(error, f"{before} and {after}")
         where = f"{known.path}: {known.where}" if known.path and known.where else known.path
@@ -143,14 +141,18 @@ def compare_files(
 
 
 def measure_files(
-    before: str, after: str, format: str | None = None, with_intersections: bool = False
+    before: str,
+    after: str,
+    format: str | None = None,
+    with_intersections: bool = False,
+    open_file: Callable[[str, str | None], MeshFile] = open_mesh_file,
 ) -> ComparisonRecord:
     """A file against the reference ``before``; MsalError where one of them cannot be read.
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
     with room_for_files((before, after), format):
-        surfaces = open_surface(before, format), open_surface(after, format)
+        surfaces = surface_of(open_file(before, format)), surface_of(open_file(after, format))
         return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 
 
@@ -312,8 +314,7 @@ def build_heatmap(
     """``after`` as PLY with its deviations from ``before`` as property and colours, and the range
     of these, file units.
 
-    The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
-    all the rest in one colour.
+    The colours go to the 99th percentile, so that few outliers do not leave all in one colour.
     """
     from msal_cli.codecs import colours, ply_write
 
