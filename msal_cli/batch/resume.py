@@ -31,18 +31,8 @@ from msal_cli.version import __version__
 
 # Failures that the file itself causes come again with the same file, settings and version.  All
 # others (crashes, memory, time, disks, what is not installed) may not.
-_FAULTS_OF_FILES = frozenset(
-    {
-        "E_FORMAT",
-        "E_TRUNCATED",
-        "E_CONTENT",
-        "E_NONFINITE",
-        "E_INDEX",
-        "E_NO_FACES",
-        "E_RANGE",
-        "E_LOSS",
-    }
-)
+_FAULTS_OF_FILES = {"E_FORMAT", "E_TRUNCATED", "E_CONTENT", "E_NONFINITE", "E_INDEX", "E_NO_FACES"}
+_FAULTS_OF_FILES |= {"E_RANGE", "E_LOSS"}
 
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
 _MAX_THREADS = 8
@@ -146,11 +136,26 @@ class _FreshnessCheck:
         self.plan, self.by_place, self.settings = plan, by_place, settings
         self.is_stopped = is_stopped
         self._methods: dict[str, MethodUsed] = {}
+        self._manifests = {os.path.abspath(place): known for place, known in by_place.items()}
 
     def entry(self, index: int) -> ManifestEntry | None:
+        """What is known of a task; in place the newest run on any folder above the file counts."""
         task = self.plan.tasks[index]
-        folder = task.manifest_dir
-        return None if folder is None else self.by_place[folder].get(manifest_key(task))
+        place = task.manifest_dir
+        if place is None or not task.in_place:
+            return None if place is None else self.by_place[place].get(manifest_key(task))
+        path = Path(os.path.abspath(task.output))
+        folders = [(str(folder), len(str(folder).rstrip(os.sep)) + 1) for folder in path.parents]
+        found = (self._manifest(name).get(path.as_posix()[start:]) for name, start in folders)
+        return max(filter(None, found), key=lambda entry: (entry.at, entry.is_done), default=None)
+
+    def _manifest(self, folder: str) -> Manifest:
+        if folder not in self._manifests:
+            try:
+                self._manifests[folder] = manifests.open_manifest(folder)
+            except OutputError:  # perhaps another user's
+                self._manifests[folder] = Manifest(folder, ())
+        return self._manifests[folder]
 
     def file_state(self, index: int) -> FileState:
         task, entry = self.plan.tasks[index], self.entry(index)
@@ -332,7 +337,7 @@ class Journal:
                     todo.append(state.index)
                     restored += [state.index] if state.restores else []
         if obstacles:
-            more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
+            more = f" and {len(obstacles) - 1:,} more" if len(obstacles) > 1 else ""
             raise UsageError(
                 f"a backup exists that is not the file to be replaced: {obstacles[0]!r}{more}",
                 hint="the original is in it: move it back, or choose another --backup suffix",
@@ -475,8 +480,7 @@ RunHistory = tuple[list[RunEntry], list[FileRow]]
 
 
 def read_history(views: Sequence[LogView], place: str) -> RunHistory:
-    """What manifests of a place say; a file that a run began and did not finish has a record that
-    is ``planned``."""
+    """What manifests of a place say; a file that a run did not finish has a ``planned`` record."""
     runs = [run for view in views for run in _parse_runs(view)]
     rows = [_row(entry, place) for entry in manifests.merge_entries(views).values()]
     return sorted(runs, key=lambda run: run.at), rows
