@@ -12,19 +12,16 @@ import logging
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from msal_cli.codecs.detection import READABLE
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.settings import is_mesh_name
-from msal_cli.storage import urls
+from msal_cli.storage import objects, urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url
-
-T = TypeVar("T")
 
 _LINKS_NAMED = 3
 _MAGIC = re.compile(r"[*?[]")
@@ -92,6 +89,7 @@ def discover_inputs(
     exclude: Sequence[str] = (),
     *,
     output: str | None = None,
+    failures: list[MsalError] | None = None,
 ) -> tuple[DiscoveredInput, ...]:
     """The files that ``inputs`` name, each once, in a fixed order.
 
@@ -101,15 +99,14 @@ def discover_inputs(
     for names with a suffix that msal reads; hidden files and folders, special files, msal's own
     files, symbolic links to folders and the folder ``output`` are skipped.  A pattern (``*``,
     ``?``, ``[...]``, ``**``) is expanded here unless a file of that very name exists: a pattern
-    that ends in a plain suffix takes every file it matches, another only mesh names, and a folder
-    that it matches is searched.
+    with a plain suffix takes every file it matches, another mesh names and the meshes of folders.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
-    (see `parse_patterns`); a file is kept if some ``include`` (where there is any) and no
-    ``exclude`` matches.
+    (see `parse_patterns`); a file is kept if an ``include``, if any, and no ``exclude`` matches.
 
     Raises UsageError if an input does not exist or is neither file nor folder, or a folder cannot
-    be listed, and NothingMatched if nothing is left.
+    be listed, and NothingMatched if nothing is left.  Why stores do not list a folder is added to
+    ``failures``, if there are other inputs.
     """
     included, excluded = parse_patterns(include), parse_patterns(exclude)
     output = None if output is None else urls.normalize_url(output)
@@ -133,7 +130,13 @@ def discover_inputs(
             prefix = f"{_folder_name(text)}/" if input_type == "folder" and len(folders) > 1 else ""
             root, parts = _split_pattern(text) if input_type == "pattern" else (text, ())
             if is_url(text):
-                found = _list_store(root, prefix, _Selection(parts), output)
+                try:
+                    found = _list_store(root, prefix, _Selection(parts), output)
+                except InputError as error:
+                    if failures is None:
+                        raise _refusal(error) from error
+                    failures.append(error)
+                    continue
             else:
                 found = _list_tree(Path(root), prefix, _Selection(parts), excluded, own_output)
         kept = [
@@ -145,6 +148,8 @@ def discover_inputs(
         empty += [] if kept else [text]
         for file in kept:
             everything.setdefault((file.path, file.relative), file)
+    if not everything and failures:
+        raise _refusal(failures[0])
     if not everything:
         raise NothingMatched(
             f"no mesh file is selected by {', '.join(repr(text) for text in inputs)}",
@@ -170,11 +175,9 @@ def _input_type(text: str) -> tuple[str, ObjectMark | None]:
     other = "pattern" if has_magic(path) else "folder"
     may_be_object = not text.endswith("/") and (other == "pattern" or is_mesh_name(urls.name(text)))
     try:
-        mark = _object_mark(text) if may_be_object else None
-    except UsageError as error:
-        if other == "folder" and isinstance(error.__cause__, InputError):
-            return "file", None
-        raise
+        mark = objects.mark(text) if may_be_object else None
+    except InputError:
+        return "file" if other == "folder" else other, None
     return (other, None) if mark is None else ("file", mark)
 
 
@@ -234,13 +237,11 @@ def _list_store(
     One listing brings size and tag of every object.  Hidden objects, msal's own and those below
     ``output`` are skipped, the latter unless the URL is below it, too.
     """
-    from msal_cli.storage import objects
-
-    marks = _ask_store(lambda: objects.list_objects(url, selection.depth))
+    marks = objects.list_objects(url, selection.depth)
     if not marks and not selection.is_pattern:
-        # It may be an object whose name has no suffix of a mesh.
-        mark = None if url.endswith("/") else _object_mark(url)
-        if mark is not None:
+        # It may be an object whose name has no suffix of a mesh, or a server that is down.
+        mark = objects.mark(url)
+        if mark is not None and not url.endswith("/"):
             return [DiscoveredInput(url, urls.name(url), "", mark)]
         raise UsageError(
             f"there is no object or folder {url!r}",
@@ -265,18 +266,8 @@ def _list_store(
     ]
 
 
-def _object_mark(url: str) -> ObjectMark | None:
-    from msal_cli.storage import objects
-
-    return _ask_store(lambda: objects.mark(url))
-
-
-def _ask_store(request: Callable[[], T]) -> T:
-    """The answer of a store; a UsageError, before the run begins, if there is none."""
-    try:
-        return request()
-    except InputError as error:
-        raise UsageError(error.message, hint=error.hint, path=error.path) from error
+def _refusal(error: MsalError) -> UsageError:
+    return UsageError(error.message, hint=error.hint, path=error.path)
 
 
 # On this machine

@@ -267,6 +267,8 @@ class _Session:
                 gates.refuse_without_reference(self._gates, "give --reference TRUTH")
         # For each record the path of its reference, where there are any.
         self._references: tuple[str, ...] = ()
+        # Folders that their stores did not list.
+        self._unlisted: list[MsalError] = []
 
     def run(self) -> int:
         """Check everything, then work; the exit status."""
@@ -286,7 +288,8 @@ class _Session:
 
             shard = parse_shard(request.shard)
         patterns = request.include, request.exclude
-        found = discover_inputs(request.inputs, *patterns, output=request.output)
+        unlisted = None if request.tile_set or request.in_place else self._unlisted
+        found = discover_inputs(request.inputs, *patterns, output=request.output, failures=unlisted)
         # Everything is checked first, so that each shard refuses what a whole run would.
         plan = plan_files(request, settings, found)
         plan = plan if shard is None else plan.select_shard(shard)
@@ -310,8 +313,7 @@ class _Session:
         if is_found and os.path.lexists(tasks[0].output):
             raise UsageError(
                 f"msal.toml names the output {tasks[0].output!r}, which is there already",
-                hint="name it on the command line, or give --config msal.toml if you trust that "
-                "file",
+                hint="name it on the command line, or give --config msal.toml if you trust it",
             )
         if request.reports:
             from msal_cli.cli import report_files
@@ -409,6 +411,11 @@ class _Session:
             from msal_cli.job.comparison import with_references
 
             records = with_references(records, self._references, settings.format)
+        if self._unlisted:
+            from msal_cli.job.records import Failure, MeshRecord
+
+            unlisted = ((error.path, Failure.of(error)) for error in self._unlisted)
+            records = [*records, *(MeshRecord(path, "failed", error=e) for path, e in unlisted)]
         if self._gates and not is_dry:
             from msal_cli.report.gates import is_any_broken, with_gates
 
@@ -491,8 +498,7 @@ def check_request(request: Request, stream: Task | None) -> None:
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
-    """For each input, known by its relative path, the path of its reference; () without
-    ``--reference``."""
+    """For each input, by its relative path, the path of its reference; () without references."""
     truth = request.reference
     if truth is None:
         return ()

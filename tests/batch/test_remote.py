@@ -1,5 +1,7 @@
 """Whole batches of objects in memory; and what is secret in a URL is shown nowhere."""
 
+import re
+
 import pytest
 
 from msal_cli import methods
@@ -99,6 +101,15 @@ def test_what_is_not_there_is_refused(url):
         discover_inputs([url])
     # Its store does not answer, so the run says why it cannot be read.
     assert paths("http://127.0.0.1:9/scans/a.ply") == ["/a.ply"]
+
+
+def test_a_store_that_does_not_answer_is_one_failure(tmp_path):
+    scan, url = tmp_path / "a.ply", "http://127.0.0.1:9/scans/"
+    scan.write_bytes(closed_scan())
+    made = msal("denoise", scan, url, "-o", tmp_path / "out")
+    assert made.exit_code == 3 and (tmp_path / "out/a.ply").exists()
+    assert re.search(f"failed: 1\n  {url}: .*E_READ", made.stderr)
+    assert msal("denoise", url, "http://127.0.0.1:9/b", "-o", tmp_path / "out").exit_code == 2
 
 
 def test_the_output_below_the_input_is_no_input(scans):
