@@ -466,6 +466,9 @@ class _Session:
             console.say_lines(text.list_problems(records, False, "Failed", "Broken gates"))
         elif not is_listing:
             console.say_summary(run, records, verbose=request.verbose > 0)
+        elif failed := [(record.input, record.error) for record in records if record.error]:
+            count = f"{len(failed):,} of {len(records):,} files would fail"
+            console.say_failure(f"{count}, the first is {failed[0][0]}", failed[0][1])
 
 
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"

@@ -90,10 +90,8 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
         total_s = max(max(seconds), sum(seconds) / min(n_cores, len(seconds))) + _START_S
         parts.append(f"about {facts.seconds_text(total_s)} on an idle machine")
     n_current = sum(record.status == "up-to-date" for record in records)
-    n_failed = sum(record.status == "failed" for record in records)
     parts += [f"{n_current:,} up to date"] if n_current else []
-    parts += [f"{n_failed:,} will fail"] if n_failed else []
-    return Line(", ".join(parts), "bad" if n_failed else "plain")
+    return Line(", ".join(parts))
 
 
 def _planned_text(planned: Planned) -> str:
@@ -224,8 +222,7 @@ def table_lines(
     width: int,
     notes: Sequence[str] = (),
 ) -> Iterator[Line]:
-    """A table in ``width`` columns: a name, which is cut where it has to be, right-aligned cells
-    and a note per line."""
+    """A table in ``width`` columns: a name, cut if need be, right-aligned cells, and a note."""
     notes = notes or [""] * len(names)
     widths = [max(map(len, cells)) for cells in zip(heads[1:], *rows, strict=True)]
     longest_note = max(map(columns, notes))
