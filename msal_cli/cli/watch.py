@@ -243,7 +243,6 @@ class _Watch:
             nonlocal n_current
             if isinstance(event, Finished):
                 n_current += event.record.status == "up-to-date"
-                log_record(event.record)
                 self._count(plan.tasks[event.index].relative, event.record)
 
         left = None if self._max_failures is None else self._max_failures - self._n_new_failures
@@ -274,6 +273,8 @@ class _Watch:
 
             shown = escape_for_display(f"{name} -> {record.output}")
             console.say(f"{shown}: {file_text(record)}")
+        else:
+            log_record(record)
 
     def _is_given_up(self) -> bool:
         return self._max_failures is not None and self._n_new_failures >= self._max_failures
