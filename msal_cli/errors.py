@@ -176,5 +176,5 @@ def format_count(number: int | None, singular: str, plural: str = "") -> str:
     """``1 file``, ``1,200 vertices``; empty for None."""
     if number is None:
         return ""
-    usual = f"{singular[:-2]}ices" if singular.endswith("vertex") else f"{singular}s"
+    usual = f"{singular}s".replace("vertexs", "vertices").replace("hedrons", "hedra")
     return f"{number:,} {singular if number == 1 else plural or usual}"

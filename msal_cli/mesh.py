@@ -379,7 +379,7 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
         at, corner = np.argwhere((faces < 0) | (faces >= n))[0].tolist()
         counts_from_1 = faces.min() == 1 and faces.max() == n
         raise ContentError(
-            f"a face names vertex {int(faces[at, corner])} of {n}",
+            f"a face names vertex {int(faces[at, corner])} of {n:,}",
             code="E_INDEX",
             where=f"face {at}",
             hint="the faces count from 1: give faces - 1"

@@ -252,7 +252,7 @@ def denoise(
             if values.shape != (len(mesh.vertices),) or values.dtype.kind not in "fiub":
                 raise UsageError(
                     f"weights: {values.dtype} of shape {values.shape}",
-                    hint=f"give {len(mesh.vertices)} numbers, one for each vertex",
+                    hint=f"give {len(mesh.vertices):,} numbers, one for each vertex",
                 )
             mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
@@ -310,10 +310,10 @@ def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
     if values.dtype.kind not in "iu" or values.ndim != 1:
         raise UsageError(
             f"lock is {values.dtype} of shape {values.shape}",
-            hint=f"give a mask of {n} booleans, or indices of vertices (k,)",
+            hint=f"give a mask of {n:,} booleans, or indices of vertices (k,)",
         )
     if values.min() < 0 or values.max() >= n:
-        raise UsageError(f"lock names a vertex that is not there, of {n}")
+        raise UsageError(f"lock names a vertex that is not there, of {n:,}")
     mask[values] = True
     return mask
 

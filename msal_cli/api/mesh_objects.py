@@ -135,15 +135,13 @@ def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError
 
 
 def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
-    """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
-    polygons of files."""
+    """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as in files."""
     triangles: Longs = corners[cut_polygons(np.arange(len(corners), dtype=np.int32), sizes)]
     return triangles
 
 
 def _read_trimesh(mesh: Any) -> MemoryMesh:
-    """The mesh; the copy keeps colours, UVs, attributes and metadata, and trimesh makes its normals
-    anew."""
+    """The mesh; the copy keeps colours, UVs, attributes and metadata, and gets new normals."""
     if any(base.__module__ == "trimesh.primitives" for base in type(mesh).__mro__):
         raise UnsupportedError(
             "the vertices of a trimesh.primitives object cannot be replaced",
@@ -162,7 +160,7 @@ def _read_pyvista(mesh: Any) -> MemoryMesh:
     """The mesh, its polygons cut into triangles for the mathematics only; the copy keeps all
     arrays, and normals follow the surface."""
     counts = {"lines": mesh.n_lines, "vertices": mesh.n_verts, "strips": mesh.n_strips}
-    others = ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+    others = ", ".join(f"{n:,} {name}" for name, n in counts.items() if n)
     if others:
         raise UnsupportedError(
             f"the PolyData has cells that are no faces: {others}",

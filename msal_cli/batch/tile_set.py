@@ -73,8 +73,7 @@ class Member:
 
 @dataclass(eq=False, kw_only=True)
 class JoinedMesh(Surface):
-    """The mesh of several files behind one another, with ``properties`` (n,) of the vertices by
-    name."""
+    """The mesh of several files behind one another, and ``properties`` (n,) of vertices by name."""
 
     properties: Mapping[str, Floats]
 
@@ -121,14 +120,13 @@ class SetRun:
         of their tasks.
 
         A file that cannot be read fails; what its neighbours may share with it stays where it is.
-        Once ``max_failures`` files cannot be read, no other is written: their records are not
-        there.
+        Once ``max_failures`` files cannot be read, no other is written, and has no record.
         """
         limit = self._limits.memory_bytes
         if limit is not None:  # what this process has beside is not the set's
             limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
-            work = f"denoising these {len(self._tasks)} files as one"
+            work = f"denoising these {len(self._tasks):,} files as one"
             needed = memory_of_set(self._tasks, self._settings)
             with (
                 limited_memory(limit),

@@ -1,5 +1,4 @@
-"""How far a run is: on a terminal a bar over its files, or a line on a single mesh; and lines in a
-log."""
+"""How far a run is: on a terminal a bar over its files or a line on one mesh; lines in a log."""
 
 from __future__ import annotations
 
@@ -85,7 +84,7 @@ class FileBar(Silent):
         elif isinstance(event, Finished):
             self._n_failed += event.record.status == "failed"
             if self._n_failed:
-                self._bar.set_postfix_str(f"{self._n_failed} failed", refresh=False)
+                self._bar.set_postfix_str(f"{self._n_failed:,} failed", refresh=False)
             self._bar.update(1)
         # A folder of small files must not spend its time on a bar.
         if time.monotonic() >= self._shown + _BETWEEN_S:

@@ -138,7 +138,7 @@ def _summarize(
             history = resume.read_history(views, name)
             remarks += _missing_parts(history[0], name)
             if lost := resume.list_lost(views, name) if is_checked and not is_url(name) else []:
-                more = f" and {len(lost) - 3} more" if len(lost) > 3 else ""
+                more = f" and {len(lost) - 3:,} more" if len(lost) > 3 else ""
                 remarks.append(f"gone or changed: {', '.join(map(repr, lost[:3]))}{more}")
             paths += [] if is_url(name) else map(str, manifest.list_manifests(name))
         elif path.is_file():
@@ -182,7 +182,7 @@ def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
     if newest.shard is None:
         return [f"the run that began at {newest.started} in {name!r} did not come to its end"]
     lost = [key for key in _all_shards(newest) if key not in ended]
-    more = f" and {len(lost) - 10} more" if len(lost) > 10 else ""
+    more = f" and {len(lost) - 10:,} more" if len(lost) > 10 else ""
     return [f"in {name!r} did not run, or not to the end: shard {', '.join(lost[:10])}{more}"]
 
 

@@ -179,7 +179,7 @@ def expected_bytes(head: memoryview, total: int) -> int:
         )
     if length > total or _HEAD + size > length:
         raise errors.cut_short(
-            f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
+            f"the file should have {max(length, _HEAD + size):,} bytes but has {total:,}",
             f"byte {total}",
         )
     gltf_scene.require_short(size, "JSON chunk")
@@ -213,7 +213,7 @@ class GlbFile(SceneFile):
             size *= kind == _BINARY
             if 8 + size > length:
                 raise errors.cut_short(
-                    f"the binary chunk should have {size} bytes but has {length - 8}",
+                    f"the binary chunk should have {size:,} bytes but has {length - 8:,}",
                     f"byte {_HEAD + len(text) + length}",
                 )
         is_inside = "uri" not in (gltf_scene.as_dicts(content.get("buffers")) or [{}])[0]
@@ -288,8 +288,7 @@ def _file_name(uri: str, where: str) -> str:
 
 
 def _read_file(name: str, path: str, declared: int, room: int, where: str) -> bytes:
-    """The bytes, of which there should be ``declared`` and may be ``room``, of the file ``name``
-    beside that at ``path``."""
+    """The bytes, ``declared`` ones and ``room`` at most, of the file ``name`` beside ``path``."""
     # A stream and an object in a store have no folder.
     if path in ("", "-") or is_url(path):
         raise errors.UnsupportedError(
@@ -536,8 +535,7 @@ def write_companions(
     it as its own.  ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
     Returns what was done, one line for each file.
 
-    Raises OutputError with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing
-    fails.
+    Raises OutputError with code ``E_SIDECAR`` if another file has the place, else ``E_WRITE``.
     """
     folder = Path(output_path).parent
     earlier: set[str] = set()

@@ -233,7 +233,7 @@ class Scene:
         begin, size = place
         if stride < width or needed > length or offset + length > size:
             raise errors.TruncatedError(
-                f"{count} rows of {width} bytes do not fit where they are said to lie",
+                f"{count:,} rows of {width} bytes do not fit where they are said to lie",
                 where=where,
                 hint=errors.EXPORT_AGAIN,
             )
@@ -274,7 +274,7 @@ class Scene:
                 room -= n_corners
                 corners = np.arange(count) if indices is None else indices.rows(self.data)[:, 0]
                 if n_corners and (highest := int(corners.max())) >= count:
-                    raise errors.bad_index(f"a face names vertex {highest} of {count}", where)
+                    raise errors.bad_index(f"a face names vertex {highest} of {count:,}", where)
                 part.triangles[source] = _triangles(corners.astype(np.int32), source[0])
         self._refuse_overlaps(size)
         if not any(len(faces) for part in self.parts.values() for faces in part.triangles.values()):
@@ -371,8 +371,7 @@ class Scene:
         return tuple(dict.fromkeys(map(unquote, paths)))
 
     def frames(self) -> list[Floats]:
-        """The frame (4, 4) of each part, by the first node that shows its mesh; identities if one
-        is not understood."""
+        """The frame (4, 4) of each part, by the first node with its mesh; else identities."""
         parents: dict[int, int] = {}
         shown_by: dict[int, int] = {}
         products: dict[int | None, Floats] = {}

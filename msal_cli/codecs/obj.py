@@ -436,8 +436,7 @@ class _Reader:
             face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
             number = int(corners[corner]) + 1
             self._sizes = np.empty(len(sizes), dtype=np.int32)
-            # A second walk that ends behind this face says where it is, and so no other walk need
-            # keep the place of every face.
+            # A second walk that ends behind this face says where it is: no other keeps places.
             again = self._begin()
             self._walk(again, face + 1)
             number_of_face = face + 1 + int(again[scan.SHORT])
@@ -478,8 +477,7 @@ def _find_references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
 def _describe_warnings(
     state: Longs, keywords: Keywords, line_at: Callable[[int], int]
 ) -> tuple[str, ...]:
-    """What a user should know of a file that could be read all the same; ``line_at`` is the line
-    of a byte."""
+    """What a user should know of a file that could be read; ``line_at`` is the line of a byte."""
     warnings = []
     if state[scan.WEIGHTED]:
         line = line_at(int(state[scan.WEIGHTED_AT]))
@@ -498,7 +496,7 @@ def _describe_warnings(
         (state[scan.LARGEST_NORMAL], state[scan.NORMALS], "normal"),
     ):
         if number > count:
-            warnings.append(f"faces name {what} {number}, but there are {count}; kept as they are")
+            warnings.append(f"faces name {what} {number}, but there are {count:,}; kept as is")
     if state[scan.BEFORE_FIRST]:
         warnings.append(
             "faces name a texture coordinate or normal 0, or one before the first"

@@ -19,7 +19,7 @@ from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
 from msal_cli.codecs.text_slots import TextSlots, Words, require_indices
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, damaged
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, damaged, format_count
 from msal_cli.storage.regular import Buffer
 
 _HEADER = re.compile(
@@ -83,14 +83,13 @@ def parse(data: Buffer) -> Layout:
         "face colours": bool((lengths[n_vertices:] > sizes + 1).any()),
     }
     is_face = sizes >= 3
+    n_small = int(np.count_nonzero(~is_face))
     warnings = {
-        f"{n_behind} lines behind the last face are kept": n_behind,
+        f"{format_count(n_behind, 'line')} behind the last face, kept": n_behind,
         f"{n_extra - n_announced} numbers behind each position are kept as they are": (
             n_extra > n_announced or (n_extra and not n_announced)
         ),
-        f"{np.count_nonzero(~is_face)} faces of fewer than three corners are kept and left out": (
-            not is_face.all()
-        ),
+        f"{format_count(n_small, 'face')} of fewer than three corners, kept and left out": n_small,
     }
     return Layout(
         "ascii",
@@ -101,7 +100,7 @@ def parse(data: Buffer) -> Layout:
         normals,
         properties=tuple(word for word, has_it in is_there.items() if has_it),
         warnings=tuple(warning for warning, is_true in warnings.items() if is_true),
-        held=f"{n_vertices} vertices and {n_faces} faces",
+        held=f"{n_vertices:,} vertices and {n_faces:,} faces",
     )
 
 
@@ -117,7 +116,7 @@ def _find_lines(
     count = n_vertices + n_faces
     if len(lines) < count:
         raise TruncatedError(
-            f"the file has {len(lines)} lines for {n_vertices} vertices and {n_faces} faces",
+            f"the file has {len(lines):,} lines for {n_vertices:,} vertices and {n_faces:,} faces",
             where=words.where(len(words)),
             hint="it was cut short, or has several vertices or faces on a line: convert it to PLY",
         )

@@ -143,7 +143,7 @@ def find_surface(
 
     n_vertices = len(vertices)
     if n_vertices > MAX_VERTICES:
-        raise TooLargeError(f"{n_vertices} vertices are more than the {MAX_VERTICES} that are read")
+        raise TooLargeError(f"{n_vertices:,} vertices exceed the {MAX_VERTICES:,} that are read")
     warnings: list[str] = []
     corners = np.empty(0, dtype=np.int32)
     triangles = strips = corners.reshape(0, 3)
@@ -163,10 +163,9 @@ def find_surface(
         triangles = mesh_file.cut_polygons(corners, lengths)
         sizes, is_face = lengths, lengths >= 3
         if not is_face.all():
-            warnings.append(
-                f"{np.count_nonzero(~is_face)} faces have fewer than three corners and are only "
-                "carried along"
-            )
+            n_small = int(np.count_nonzero(~is_face))
+            have = format_count(n_small, "face has", "faces have")
+            warnings.append(f"{have} fewer than three corners: carried along only")
             corners, sizes = corners[np.repeat(is_face, lengths)], lengths[is_face]
     if "tristrips" in lists:
         items, strip_lengths = _read_corners(*lists["tristrips"], n_vertices, has_ends=True)
@@ -194,7 +193,7 @@ def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vert
     if len(shape) < 2 or shape[0] * shape[1] != count:
         shown = " and ".join(word[:30] or "missing" for word in words)
         raise FormatError(
-            f"num_rows and num_cols of the range grid of {count} samples are {shown}",
+            f"num_rows and num_cols of the range grid of {count:,} samples are {shown}",
             where="header",
             hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
             f"R times C are {count}",
@@ -431,8 +430,7 @@ class PlyFile(mesh_file.MeshFile):
         return sections["vertex"].slots(names).values
 
     def vertex_property(self, name: str) -> Floats:
-        """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
-        is none."""
+        """The scalar property ``name`` of the vertices, (n,); else InputError (``E_PROPERTY``)."""
         scalars = self.vertex_scalars()
         if name not in scalars:
             is_list = self._layout.sections["vertex"].element.find(name) is not None

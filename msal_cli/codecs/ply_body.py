@@ -2,8 +2,7 @@
 
 Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
 views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
-or ``Lines`` (ascii).  No section is made before every byte that its counts promise is known to be
-there.
+or ``Lines`` (ascii).  No section is made before all bytes that its counts promise are there.
 """
 
 import functools
@@ -274,8 +273,8 @@ def _find_tokens(part: Part, kept: Sequence[str]) -> tuple[Places, int]:
     place = f"{element.name} {records}, line {line_of(data, stop)}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):
         raise cut_short(
-            f"the file ends within element '{element.name}': {element.count - records} of "
-            f"{element.count} lines are missing or not whole",
+            f"the file ends within element '{element.name}': {element.count - records:,} of "
+            f"{element.count:,} lines are missing or not whole",
             place,
         )
     if status == BAD_COUNT:
@@ -305,8 +304,7 @@ class Fixed(Part):
     places: dict[str, tuple[int, int]]
 
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
-        """The values of a property (count, k), a view into the file, and each record's number
-        (count,)."""
+        """The values of a property (count, k), a view, and each record's number (count,)."""
         dtype = np.dtype(self.codes([name])[0])
         place, length = self.places[name]
         shape, strides = (self.element.count, length), (self.stride, dtype.itemsize)
@@ -416,7 +414,7 @@ def _records(part: Part, wanted: Sequence[str]) -> Section:
     elif not counts:
         n_bytes = len(data) - at
         raise cut_short(
-            f"the file ends within element '{element.name}': {size - n_bytes} bytes are missing",
+            f"the file ends within element '{element.name}': {size - n_bytes:,} bytes are missing",
             part.where(n_bytes // stride),
         )
     return _varied(part, wanted)
@@ -456,7 +454,7 @@ def _varied(part: Part, wanted: Sequence[str]) -> Section:
     if status == CUT:
         missing = int(items) * int(size) - (len(data) - int(stop))
         raise cut_short(
-            f"the file ends within element '{element.name}': {place} of {element.count} needs at "
+            f"the file ends within element '{element.name}': {place} of {element.count:,} needs at "
             f"least {format_count(missing, 'more byte')}",
             place,
         )

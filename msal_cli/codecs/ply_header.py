@@ -179,7 +179,7 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
     place = f"line {len(lines)}"
     if whole and len(lines) < MAX_LINES:
         raise errors.cut_short("the file ends within its header: there is no 'end_header'", place)
-    limit = f"{MAX_LINES} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES} bytes"
+    limit = f"{MAX_LINES:,} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES:,} bytes"
     raise errors.TooLargeError(
         f"the header has no 'end_header' within its first {limit}",
         where=place,

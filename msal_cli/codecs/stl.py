@@ -2,8 +2,7 @@
 
 A binary file is 80 bytes of free text, a count, and for each facet 50 bytes: normal and three
 corners as little-endian float32, and one 16-bit word that some programs use for colours.
-The keywords of a text may be in any case and apart by any white space; a solid's name is the rest
-of its line.
+Keywords may be in any case and apart by any white space; a solid's name is the rest of its line.
 """
 
 from __future__ import annotations
@@ -91,8 +90,8 @@ def require_bytes(head: bytes, size: int) -> int:
     if size >= _FIRST_FACET:
         count, n_whole = ((n - _FIRST_FACET) // FACET.itemsize for n in (wanted, size))
         message = (
-            f"the header counts {count} facets, which take {wanted} bytes, but the file has "
-            f"{size}: {n_whole} whole facets"
+            f"the header counts {count:,} facets, which take {wanted:,} bytes, but the file has "
+            f"{size:,}: {n_whole:,} whole facets"
         )
         hint = "the file was cut short, or is not STL; copy or export it again"
     raise errors.TruncatedError(message, where=f"byte {size}", hint=hint)
@@ -113,11 +112,11 @@ def is_text(head: bytes, size: int) -> bool:
 
 def _check_count(n_facets: int, n_trailing: int = 0) -> None:
     if not n_facets:
-        more = f"; {n_trailing} bytes follow that it does not count" if n_trailing else ""
+        more = f"; {n_trailing:,} bytes follow that it does not count" if n_trailing else ""
         raise errors.no_faces(f"the file has no facets{more}")
     if n_facets > MAX_FACETS:
         raise errors.TooLargeError(
-            f"{n_facets} facets are more than the {MAX_FACETS} whose corners can be numbered",
+            f"{n_facets:,} facets are more than the {MAX_FACETS:,} whose corners can be numbered",
             hint="cut the mesh into parts",
         )
 
@@ -331,7 +330,9 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> erro
         and any(w.encode().startswith(token.lower()) for w in (wanted, *others.get(word, ())))
     )
     if status == stl_facets.CUT or (at + len(token) == len(buf) and is_begun):
-        return errors.cut_short(f"the text ends within a solid, after {facet} whole facets", where)
+        ends = "without 'endsolid'" if word == stl_facets.FACET else "within a facet"
+        whole = errors.format_count(facet, "whole facet")
+        return errors.cut_short(f"the text ends {ends}, after {whole}", where)
     message, hint = f"expected '{wanted}', found {text!r}", errors.EXPORT_AGAIN
     if status == stl_facets.OUTSIDE:
         message = f"expected 'solid', found {text!r}"

@@ -312,8 +312,7 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
 
 
 def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> InternalError | None:
-    """What is wrong with ``result`` from byte ``start`` on, which should be a piece; None if
-    nothing is."""
+    """What is wrong with ``result`` from byte ``start`` on, where a piece should be."""
     from msal_cli.kernels import text
 
     tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), 0.0)
@@ -515,6 +514,6 @@ def require_indices(indices: Longs, count: int) -> None:
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
         raise bad_index(
-            f"a face names a vertex that is not among the {count}",
+            f"a face names a vertex that is not among the {count:,}",
             f"corner {int(np.argmax(wrong))} of all faces",
         )

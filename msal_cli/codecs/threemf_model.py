@@ -1,8 +1,7 @@
 """One model part of a 3MF package: XML taken apart so that positions can be replaced in its text.
 
 The long lists of vertices and triangles, where they have the plain form that nearly all programs
-write, are left out of what the parser gets, because they would take most of the time and memory: a
-pattern holds them to that form.
+write, are left out of what the slow parser gets: a pattern holds them to that form.
 """
 
 import math
@@ -195,7 +194,7 @@ class Model:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise errors.bad_index(
-                f"a triangle names vertex {int(faces[row].max())} of {len(vertices)}",
+                f"a triangle names vertex {int(faces[row].max())} of {len(vertices):,}",
                 f"{self._where(meshes[0].stop)}, object {number}, triangle {row}",
             )
         self.meshes[number] = ThreeMfMesh(vertices, starts, faces)

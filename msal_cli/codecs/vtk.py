@@ -2,12 +2,12 @@
 
 Read are ascii and binary files of versions 1 to 5.1 with polygonal data or unstructured grids.
 What stands behind the cells (attributes, fields, metadata) is looked into for normals alone;
-whatever of it is not understood is kept.  Everything binary is big-endian, as VTK writes it on
-every machine.
+whatever of it is not understood is kept.  Everything binary is big-endian, as VTK writes it.
 """
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -337,20 +337,11 @@ _CURVED = (22, 23, 28, 30, 32, 34, 36, 69, 70, 76, 77)
 """Types of surface cells of second order, which are refused."""
 
 _KINDS = {
-    1: "vertex",
-    2: "vertex",
-    3: "line",
-    4: "line",
-    5: "polygon",
+    **dict.fromkeys((1, 2), "vertex"),
+    **dict.fromkeys((3, 4), "line"),
+    **dict.fromkeys((5, 7, 8, 9), "polygon"),
     6: "strip",
-    7: "polygon",
-    8: "polygon",
-    9: "polygon",
-    10: "tetra",
-    11: "voxel",
-    12: "hexahedron",
-    13: "wedge",
-    14: "pyramid",
+    **dict(enumerate(("tetrahedron", "voxel", "hexahedron", "wedge", "pyramid"), 10)),
     42: "polyhedron",
 }
 _CORNERS = {5: ("triangle", 3), 8: ("pixel", 4), 9: ("quad", 4)}
@@ -394,10 +385,10 @@ class Cells:
         """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers: polygons in
         the order of the file, and behind them strips."""
         if len(types) != len(sizes):
-            raise errors.damaged(f"there are {len(types)} types for {len(sizes)} cells", "cells")
+            raise errors.damaged(f"{len(types):,} types for {len(sizes):,} cells", "cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
             raise errors.UnsupportedError(
-                f"the file has second-order surface cells ({n_curved} cells)",
+                f"the file has second-order surface cells ({n_curved:,})",
                 hint="write it with first-order triangles or quads",
             )
         for type, (name, size) in _CORNERS.items():
@@ -408,7 +399,7 @@ class Cells:
         corners[[last - 1, last]] = corners[[last, last - 1]]
         kinds: dict[str, list[int]] = {}
         for type in np.unique(types).tolist():
-            kinds.setdefault(_KINDS.get(type, f"cell of type {type}"), []).append(type)
+            kinds.setdefault(_KINDS.get(type, f"type-{type} cell"), []).append(type)
         for kind, own in kinds.items():
             chosen = np.isin(types, own)
             self.add(kind, sizes[chosen], corners[np.repeat(chosen, sizes)])
@@ -421,17 +412,18 @@ class Cells:
         """How many corners each polygon (p,) has."""
         return np.concatenate(self._sizes)
 
-    def describe(self) -> str:
-        """What cells there are, such as ``"3 tetra, 1 line"``."""
-        return ", ".join(f"{count} {kind}" for kind, count in self._counts.items() if count)
+    def describe(self, without: Sequence[str] = ()) -> str:
+        """What cells there are but of some kinds, such as ``"3 tetrahedra, 1 line"``."""
+        counts = {kind: n for kind, n in self._counts.items() if n and kind not in without}
+        return ", ".join(errors.format_count(n, kind) for kind, n in counts.items())
 
     def warnings(self) -> tuple[str, ...]:
-        others = {kind: n for kind, n in self._counts.items() if n and kind not in _FLAT}
-        listed = ", ".join(f"{n} {kind}" for kind, n in others.items())
-        n_strips, n_small = self._counts["strip"], self._small
+        others = self.describe(_FLAT)
+        strips = errors.format_count(self._counts["strip"] or None, "triangle strip")
+        small = errors.format_count(self._small or None, "polygon")
         warnings = {
-            f"other cells ({listed}) are kept; their corners move with the surface": others,
-            f"{n_strips} triangle strips are read as triangles, and kept": n_strips,
-            f"{n_small} polygons of fewer than three corners are kept and left out": n_small,
+            f"other cells ({others}) are kept; their corners move with the surface": others,
+            f"{strips} read as triangles, and kept": strips,
+            f"{small} of fewer than three corners, kept and left out": small,
         }
         return tuple(warning for warning, has_some in warnings.items() if has_some)

@@ -104,8 +104,7 @@ def as_stored(
 def _format_of_output(
     mesh_file: MeshFile, settings: Settings, path: str | None
 ) -> tuple[str, str, str]:
-    """Format, encoding and precision: the format is ``--to``, else the output name's, else the
-    input's."""
+    """Format (of ``--to``, else of the output's name, else the input's), encoding and precision."""
     named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
     target = (settings.to or named).lower().lstrip(".")
     return target, settings.encoding, settings.precision
@@ -120,7 +119,7 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
     faces = mesh_file.faces if mesh_file.has_same_grid(again) else again.faces
     if len(faces) != len(mesh_file.faces):
         raise InternalError(
-            f"the {target} output has {len(faces)} triangles, not {len(mesh_file.faces)}"
+            f"the {target} output has {len(faces):,} triangles, not {len(mesh_file.faces):,}"
         )
     span = float(np.abs(vertices).max(initial=0.0))
     corners = again.vertices[faces.reshape(-1)]

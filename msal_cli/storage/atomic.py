@@ -110,8 +110,7 @@ def _write(
         target = Path(path)
         widest, is_replacement = _choose_mode(target, sources)
         temporary = target.with_name(temporary_name(target.name))
-        # Never wider than in the end: another process may keep open what it could read for a
-        # moment.
+        # Never wider than in the end: who could read it for a moment may keep it open.
         handle = os.open(temporary, flags, widest & 0o666 | 0o200)
         try:
             try:
@@ -128,7 +127,7 @@ def _write(
                 os.fsync(handle)
                 written = os.fstat(handle).st_size
                 if written != expected:
-                    raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
+                    raise OSError(errno.EIO, f"{written:,} of {expected:,} bytes are on the disk")
             finally:
                 os.close(handle)
             is_placed = _place(temporary, target, is_new)

@@ -152,19 +152,18 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
             break
         if position and begin not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
             raise FormatError(
-                f"{size - position} bytes behind the compressed data are not gzip",
+                f"{size - position:,} bytes behind the compressed data are not gzip",
                 where=f"byte {position}",
                 hint="the file is damaged, or two files were joined; compress it again",
             )
         member = zlib.decompressobj(wbits=31)
-        # Pieces begin small, so that a file of very many tiny members is not copied over and
-        # over by ``unused_data``.
+        # Pieces begin small: ``unused_data`` would copy a file of many tiny members too often.
         piece = _FIRST_PIECE
         while not member.eof:
             part = data[position : position + piece]
             if not part:
                 raise cut_short(
-                    f"the compressed data end after {position} bytes, in the middle",
+                    f"the compressed data end after {position:,} bytes, in the middle",
                     f"byte {position}",
                 )
             # A bomb is known by its first pieces.
@@ -181,8 +180,8 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
             expanded += len(text)
             if expanded > allowed:
                 raise TooLargeError(
-                    f"{position + len(part)} of {size} compressed bytes expand to more than "
-                    f"{allowed}",
+                    f"{position + len(part):,} of {size:,} compressed bytes expand to more than "
+                    f"{allowed:,}",
                     where=f"byte {position}",
                     hint="no mesh compresses so well; if you trust the file, expand it with gunzip",
                 )
@@ -215,8 +214,7 @@ THREAD_BYTES = 1 << 20
 def sha256_meanwhile(data: regular.Buffer) -> Callable[[], str]:
     """Begin to hash ``data``, which must not change; call what is returned for the hex digits.
 
-    Other threads run on: a second core hashes while the first one parses, and even a single core
-    hashes while the disk writes.
+    A second core hashes while the first one parses, a single one while the disk writes.
     """
     if len(data) >= THREAD_BYTES:
         return in_background(lambda: hashlib.sha256(data).hexdigest())

@@ -124,9 +124,9 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
         system.pipe_file(path, data)
         there = _mark(system, path)
     if there is None or there.size != len(data):
-        size = "none" if there is None else str(there.size)
+        size = "none" if there is None else f"{there.size:,}"
         raise OutputError(
-            f"the object cannot be written: {size} of {len(data)} bytes arrived",
+            f"the object cannot be written: {size} of {len(data):,} bytes arrived",
             path=url,
             hint="run again; check whether another program writes there",
         )
@@ -143,8 +143,7 @@ def mark(url: str) -> ObjectMark | None:
 
 
 def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
-    """Every object below a folder by its name there, written with ``/``, or only names of at most
-    ``depth`` parts.
+    """Every object below a folder, of at most ``depth`` parts, by its name there, with ``/``.
 
     On object stores that is one request for a thousand objects, however deep they lie.  The errors
     are those of ``mark``.
