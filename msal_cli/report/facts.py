@@ -358,10 +358,12 @@ def total_facts(records: Sequence[MeshRecord], sums: Totals) -> list[Fact]:
             found.append(Fact(word, f"{sum(counts):,} in {format_count(len(counts), 'file')}"))
     spread = sums.volume_change_percent
     if spread is not None:
-        ends = f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)}"
+        text = percent_text(spread.median)
+        if spread.files > 1:
+            ends = f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)}"
+            text = f"median {text}, {ends}"
         files = format_count(spread.files, "closed file")
-        text = f"median {percent_text(spread.median)}, {ends} ({files})"
-        found.append(Fact("volume change", text))
+        found.append(Fact("volume change", f"{text} ({files})"))
     chosen = ", ".join(f"{name} {count:,}" for name, count in sums.chosen.items())
     found += [Fact("chosen", chosen), Fact("tile set", tile_set_text(records))]
     return [fact for fact in found if fact.text]

@@ -21,6 +21,11 @@ MAX_RATIO = 200
 """Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
 text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
 
+_READ_HINTS: dict[type, str] = {
+    regular.NotRegularError: "write what comes through it to a file first",
+    IsADirectoryError: "name a file in it",
+}
+
 _FIRST_PIECE = 1 << 10
 _MAX_PIECE = 1 << 20
 
@@ -41,9 +46,8 @@ def read_whole(
     size : bytes of an object, as far as that is known.
     check : called with the open file and its size before anything is read; what it raises passes.
 
-    Raises InputError with code ``E_READ`` if the system cannot read it, or it is a pipe, a socket
-    or a device; TooLargeError if it has more than half of the machine's memory, or grows to that
-    while it is read.
+    Raises InputError with code ``E_READ`` if the system cannot read it, or it is no regular file;
+    TooLargeError if it has, or grows to, more than half of the machine's memory.
     """
     if isinstance(path, str) and is_url(path):
         from msal_cli.storage import objects as remote
@@ -64,9 +68,7 @@ def read_whole(
             f"the file cannot be read: {reason}",
             path=os.fspath(path),
             code="E_READ",
-            hint="write what comes through it to a file first"
-            if isinstance(failure, regular.NotRegularError)
-            else "check that it exists and that you may read it",
+            hint=_READ_HINTS.get(type(failure), "check that it exists and that you may read it"),
         ) from failure
 
 

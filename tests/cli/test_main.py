@@ -32,7 +32,7 @@ except SystemExit as end:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["denoise", "--help"], ["completion", "--help"]], ids=" ".join
+    "arguments", [["--help"], ["denoise", "--help"], ["help", "info"]], ids=" ".join
 )
 def test_help_imports_nothing_heavy(arguments):
     assert heavy_modules_after(*arguments) == "0 []"
