@@ -14,6 +14,7 @@ from msal_cli.analysis.noise_estimate import (
     estimate_noise,
     has_flat_edges,
     has_uneven_edges,
+    is_non_manifold,
 )
 from msal_cli.analysis.noise_estimate.patterns import are_mirrored
 from msal_cli.arrays import Flags, Floats, Longs
@@ -191,7 +192,8 @@ class _Search:
             return False
         if after.is_negligible:
             moved = self.mesh.with_vertices(self.positions)
-            is_design = has_uneven_edges(moved) or (share < FEW and has_flat_edges(moved))
+            is_design = has_uneven_edges(moved) or is_non_manifold(moved)
+            is_design |= share < FEW and has_flat_edges(moved)
             return are_certain and not is_design
         is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible

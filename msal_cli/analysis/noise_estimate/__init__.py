@@ -68,6 +68,7 @@ __all__ = [
     "estimate_noise",
     "estimate_regions",
     "has_uneven_edges",
+    "is_non_manifold",
     "lend_estimate",
 ]
 
@@ -218,6 +219,12 @@ def lend_estimate(noise: NoiseLevel, part: Mesh) -> None:
 def has_uneven_edges(mesh: Mesh) -> bool:
     """Whether edges differ in length as those of a design do, and hardly those of a scan."""
     return gather_evidence(mesh, estimate_white(mesh)).edge_spread > MAX_SPREAD
+
+
+def is_non_manifold(mesh: Mesh) -> bool:
+    """Whether as many edges have more than two faces as decimation leaves, and no scanner does."""
+    links = mesh.topology
+    return links.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(links.ring)
 
 
 def estimate_regions(mesh: Mesh) -> Floats:
@@ -403,8 +410,7 @@ def characterize(mesh: Mesh) -> Estimate:
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     needed = _needed_probability(verdict, measured, evidence)
-    links = mesh.topology
-    if links.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(links.ring):
+    if is_non_manifold(mesh):
         needed = SURE_UNNAMED
     is_doubtful = is_few or verdict.noise < needed
     if not is_doubtful and verdict.noise < (SURE_NOISE if is_named else SURE_UNNAMED):
