@@ -275,14 +275,14 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, A
     names = root.command.list_commands(root) if isinstance(root.command, click.Group) else [command]
     tables = _read_tables(path)
     for table, content in tables.items():
+        if not isinstance(content, dict):
+            is_command = table in names
+            hint = f"[{table}] and options below it" if is_command else "it below [denoise], say"
+            raise UsageError(f"{path}: {table} is not a table", hint=f"write {hint}")
         if table not in names:
             raise UsageError(
                 f"{path}: there is no command for the table [{table}]",
                 hint=_closest(table, names) or "tables are named as commands: [denoise]",
-            )
-        if not isinstance(content, dict):
-            raise UsageError(
-                f"{path}: {table} is not a table", hint=f"write [{table}] and options below it"
             )
     # Eager ones are --help and --help-all, whose names depend on the version of click.
     keys = {

@@ -104,7 +104,7 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise]\nmax-mov = 3", ("msal.toml: [denoise] max-mov", "did you mean 'max-move'?")),
         ("[denoise]\nmax_move = 3", ("[denoise] max_move", "did you mean 'max-move'?")),
         ("[denois]\nK = 3", ("msal.toml", "[denois]", "did you mean 'denoise'?")),
-        ("K = 3", ("msal.toml", "[K]")),
+        ("K = 3", ("msal.toml: K is not a table", "below [denoise]")),
         ("denoise = 3", ("denoise is not a table",)),
         ("[denoise]\nhelp = true", ("there is no such option",)),
         ("[denoise]\nconfig = 'x'", ("there is no such option",)),
