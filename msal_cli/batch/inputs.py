@@ -238,9 +238,9 @@ def _list_store(
     ``output`` are skipped, the latter unless the URL is below it, too.
     """
     marks = objects.list_objects(url, selection.depth)
+    # It may be an object whose name has no suffix of a mesh, or a server that is down.
+    mark = None if marks else objects.mark(url)
     if not marks and not selection.is_pattern:
-        # It may be an object whose name has no suffix of a mesh, or a server that is down.
-        mark = objects.mark(url)
         if mark is not None and not url.endswith("/"):
             return [DiscoveredInput(url, urls.name(url), "", mark)]
         raise UsageError(
