@@ -136,7 +136,7 @@ class _FreshnessCheck:
         self.plan, self.by_place, self.settings = plan, by_place, settings
         self.is_stopped = is_stopped
         self._methods: dict[str, MethodUsed] = {}
-        self._manifests = {os.path.abspath(place): known for place, known in by_place.items()}
+        self._manifests = {os.path.realpath(place): known for place, known in by_place.items()}
 
     def entry(self, index: int) -> ManifestEntry | None:
         """What is known of a task; in place the newest run on any folder above the file counts."""
@@ -144,7 +144,7 @@ class _FreshnessCheck:
         place = task.manifest_dir
         if place is None or not task.in_place:
             return None if place is None else self.by_place[place].get(manifest_key(task))
-        path = Path(os.path.abspath(task.output))
+        path = Path(os.path.realpath(task.output))
         folders = [(str(folder), len(str(folder).rstrip(os.sep)) + 1) for folder in path.parents]
         found = (self._manifest(name).get(path.as_posix()[start:]) for name, start in folders)
         return max(filter(None, found), key=lambda entry: (entry.at, entry.is_done), default=None)

@@ -180,6 +180,16 @@ def test_a_run_in_place_that_was_killed_after_the_move(folders, backup):
     assert (folders / "in/00.ply.2").read_text() == "fake MESH 0"
 
 
+@posix
+def test_in_place_runs_know_of_those_above_by_any_name(folders):
+    fill(folders, 2)
+    (folders / "link").symlink_to("in")
+    for name in ("", "in", "link", "in/01.ply"):
+        found = discover_inputs([str(folders / name)])
+        records = ran(folders, plan=build_plan(found, None, in_place=True, backup=None))
+        assert set(statuses(records)) == {"up-to-date" if name else "written"}
+
+
 DRIVER = """
 import sys
 from msal_cli.batch.inputs import discover_inputs
