@@ -135,9 +135,10 @@ after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other 
 SURE_UNNAMED = 0.98
 """The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
 
-MAX_NON_MANIFOLD = 0.003
-"""Share of non-manifold edges above which all noise needs ``SURE_UNNAMED``: decimation leaves such
-edges, 0.4 to 5 % on coarse parts of robots, and simulated and real scanners have none."""
+MAX_NON_MANIFOLD, SURE_DECIMATED = 0.003, 0.98
+"""Share of non-manifold edges above which noise needs a probability, of the ``INDEPENDENT_KINDS``
+``SURE_DESIGN``: decimation leaves such edges, 0.4 to 5 % on coarse parts of robots, and simulated
+and real scanners have none."""
 
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
 """Angle in radians up to which an edge is flat to rounding; the share of such edges above which
@@ -186,6 +187,9 @@ BENDING = ("white", "isotropic", "correlated")
 
 SHARED_KINDS = ("correlated", "view", "uneven")
 """Kinds of noise that neighbours may share."""
+
+INDEPENDENT_KINDS = ("white", "isotropic", "outliers", "impulsive", "quantised")
+"""Kinds of noise that detail hardly looks like."""
 
 PASSES = 20
 """Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""
@@ -411,7 +415,7 @@ def characterize(mesh: Mesh) -> Estimate:
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     needed = _needed_probability(verdict, measured, evidence)
     if is_non_manifold(mesh):
-        needed = SURE_UNNAMED
+        needed = max(needed, SURE_DESIGN if verdict.kind in INDEPENDENT_KINDS else SURE_DECIMATED)
     is_doubtful = is_few or verdict.noise < needed
     if not is_doubtful and verdict.noise < (SURE_NOISE if is_named else SURE_UNNAMED):
         is_doubtful = not _is_bent(mesh, verdict, evidence, is_named)
