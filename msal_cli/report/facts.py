@@ -100,7 +100,7 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
         given = ", ".join(
             f"{name} {value}"
             for name, value in method.parameters.items()
-            if name not in defaults or defaults[name] != value
+            if value != "" and (name not in defaults or defaults[name] != value)
         )
         level = SHORT if choice is None else DETAIL
         yield Fact("method", method.name + (f" ({given})" if given else ""), level=level)
