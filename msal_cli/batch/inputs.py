@@ -19,7 +19,7 @@ from pathlib import Path
 from msal_cli.codecs.detection import READABLE
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.settings import is_mesh_name
-from msal_cli.storage import objects, urls
+from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url
 
@@ -169,6 +169,8 @@ def _input_type(text: str) -> tuple[str, ObjectMark | None]:
     """
     if not is_url(text):
         return _local_type(text), None
+    from msal_cli.storage import objects
+
     path = urls.split(text)[1]
     if not path.strip("/"):
         raise UsageError(f"{text!r} names no bucket or folder", path=text)
@@ -237,6 +239,8 @@ def _list_store(
     One listing brings size and tag of every object.  Hidden objects, msal's own and those below
     ``output`` are skipped, the latter unless the URL is below it, too.
     """
+    from msal_cli.storage import objects
+
     marks = objects.list_objects(url, selection.depth)
     # It may be an object whose name has no suffix of a mesh, or a server that is down.
     mark = None if marks else objects.mark(url)
