@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
-from msal_cli.errors import UsageError
+from msal_cli.errors import MsalError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
@@ -47,12 +48,13 @@ def command(request: Request) -> int:
     """
     from msal_cli.cli.streams import read_stream
     from msal_cli.job.comparison import inspect_file
-    from msal_cli.job.records import InfoRecord
+    from msal_cli.job.records import Failure, InfoRecord
     from msal_cli.report.text import InfoTable, describe_info
 
     format, is_checked = resolve_format(request.format), bool(request.checks)
-    paths = _find_paths(request)
-    records: Iterable[InfoRecord] = (
+    unlisted: list[MsalError] = []
+    paths = _find_paths(request, unlisted)
+    inspected = (
         inspect_file(
             path,
             format,
@@ -61,6 +63,8 @@ def command(request: Request) -> int:
         )
         for path in paths
     )
+    failed = (InfoRecord(str(error.path), error=Failure.of(error)) for error in unlisted)
+    records: Iterable[InfoRecord] = itertools.chain(inspected, failed)
     table = None
     if request.as_json:
         records = list(records)
@@ -88,13 +92,14 @@ def command(request: Request) -> int:
     return console.status_of_files(n_printed + n_failed, n_failed)
 
 
-def _find_paths(request: Request) -> tuple[str, ...]:
+def _find_paths(request: Request, unlisted: list[MsalError]) -> tuple[str, ...]:
     from msal_cli.batch.inputs import discover_inputs
 
     inputs: tuple[str, ...] = request.inputs
     patterns = request.include, request.exclude
     if STREAM not in inputs:
-        return tuple(file.path for file in discover_inputs(inputs, *patterns))
+        found = discover_inputs(inputs, *patterns, failures=unlisted)
+        return tuple(file.path for file in found)
     if len(inputs) > 1 or any(patterns):
         raise UsageError(
             "- must be the only input: standard input is one mesh", hint="give - and no other"
