@@ -158,9 +158,10 @@ class Method:
         return int(getattr(self.module, "BYTES_PER_FACE", 0))
 
     def bytes_per_face_of(self, given: Mapping[str, Any]) -> int:
-        """The same for parameters of which ``given`` are set, where they decide it."""
-        value = getattr(self.module.Parameters(**given), "bytes_per_face", None)
-        return self.bytes_per_face if value is None else int(value)
+        """The same for parameters of which ``given`` are set: theirs, and that of a schedule."""
+        parameters = self.module.Parameters(**given)
+        own = getattr(parameters, "bytes_per_face", self.bytes_per_face)
+        return int(own) + int(getattr(parameters, "schedule_bytes_per_face", 0))
 
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:

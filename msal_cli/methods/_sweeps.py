@@ -38,7 +38,7 @@ class NormalParameters:
 
 
 WIENER_BYTES_PER_FACE = 60
-"""Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face``."""
+"""Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face_of``."""
 
 MAX_NOISE_MULTISCALE = 0.15
 """Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
@@ -82,8 +82,8 @@ class ScheduleTraits(NormalParameters):
         return self.schedule != "plain"
 
     @property
-    def bytes_per_face(self) -> int:
-        """See ``Method.bytes_per_face``."""
+    def schedule_bytes_per_face(self) -> int:
+        """See ``Method.bytes_per_face_of``."""
         return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
 
     @property

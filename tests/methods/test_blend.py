@@ -148,6 +148,11 @@ def test_memory_follows_the_members_that_are_given():
     heavy = Settings("blend", {"members": "0.4*al+0.6*static_dynamic"})
     between = method_bytes_per_face(heavy) - method_bytes_per_face(light)
     assert between == of["static_dynamic"] - of["al"]
+    # A method with a schedule needs its own memory, too.
+    flow = Settings("mean_curvature_flow", {"schedule": "wiener"})
+    assert method_bytes_per_face(flow) == 180 + method_bytes_per_face(
+        Settings("al", {"schedule": "wiener"})
+    )
 
 
 def test_weights_follow_the_local_noise():
