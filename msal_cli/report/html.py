@@ -20,6 +20,7 @@ import math
 import os
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from string import Template
 from typing import Any, NamedTuple
@@ -302,11 +303,13 @@ def build_gallery(
     images: dict[str, Pictures] = {}
     n_left = n_bytes = 0
     is_decimated = False
-    # Both meshes may be found again on this machine's disks.
+    # Both meshes may be found again on this disk; an output of two runs may be of either.
+    n_named = Counter(record.output for record in records)
     candidates = [
         record
         for record in facts.worst_first(records)
         if record.status in WITH_OUTPUT
+        and n_named[record.output] == 1
         and not any(name == "-" or "://" in name for name in (record.input, record.output or "-"))
     ]
     for done, record in enumerate(candidates):

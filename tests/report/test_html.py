@@ -95,7 +95,8 @@ def test_every_file_that_was_written_is_shown(records):
 
 def test_a_file_that_changed_since_has_no_picture(records):
     other = [replace(one, output_sha256="0" * 64) for one in records if one.output_sha256]
-    assert as_html.build_gallery(other).pictures == {}
+    twice = [*records, *(replace(one, input="x.ply") for one in records)]
+    assert as_html.build_gallery(other).pictures == as_html.build_gallery(twice).pictures == {}
 
 
 def test_in_place_the_backup_is_the_input(tmp_path):
