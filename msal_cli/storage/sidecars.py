@@ -58,7 +58,8 @@ def carry(
     ----------
     references : the names, as written in the input.
     input_path, output_path : the mesh files; the output's folder is made where it is missing.
-    force : replace other files, if there is an output already, of which they may be old copies.
+    force : replace other files that are not newer than the output that there is already: they may
+        be its old copies, and are of no other input of this run.
 
     Returns what was done, one line for each file; lines that need attention begin with
     ``warning:``.  Raises OutputError with code ``E_SIDECAR`` if another file has the place; with
@@ -74,7 +75,7 @@ def carry(
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
-    force = force and os.path.lexists(output_path)
+    made_at = os.lstat(output_path).st_mtime_ns if force and os.path.lexists(output_path) else -1
     # Bytes that may still be carried.
     budget = [MAX_BYTES]
     waiting = list(references)
@@ -87,7 +88,7 @@ def carry(
             break
         done.add(reference)
         relative = _relative(reference, source_folder)
-        notes.append(_carry(reference, relative, source_folder, target_folder, budget, force))
+        notes.append(_carry(reference, relative, source_folder, target_folder, budget, made_at))
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
         library = source_folder / relative
@@ -132,9 +133,10 @@ def _carry(
     source_folder: Path,
     target_folder: Path,
     budget: list[int],
-    force: bool,
+    made_at: int,
 ) -> str:
-    """Carry one file; what was done, empty if nothing had to be."""
+    """Carry one file, in place of one that is no newer than ``made_at``; what was done, empty if
+    nothing had to be."""
     if relative is None:
         if _is_absolute(reference):
             return f"{reference} is an absolute path and stays as it is"
@@ -158,13 +160,14 @@ def _carry(
         budget[0] -= size
         if target.exists() and _is_same(source, target):
             return f"{reference}{_IN_PLACE}"
+        is_old = target.exists() and target.stat().st_mtime_ns <= made_at
     except OSError as failure:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
     if not _is_within(target.parent, target_folder):
         return f"warning: {reference} lies outside the output folder and is not found from there"
     if not _is_within(source, source_folder):
         return f"warning: {reference} leads out of the input's folder and is not copied"
-    _copy(source, target, write_whole if force else write_new)
+    _copy(source, target, write_whole if is_old else write_new)
     return f"copied {reference}"
 
 

@@ -56,7 +56,12 @@ def test_a_different_file_is_overwritten_by_force_only(scene, name):
     assert caught.value.code == "E_SIDECAR"
     assert "separate output folders" in caught.value.hint
     assert place.read_bytes() == another
+    # One that is newer than the output is of another input.
     target.touch()
+    os.utime(target, (0.9e9, 0.9e9))
+    with pytest.raises(OutputError):
+        carry(["mesh.mtl"], source, target, force=True)
+    os.utime(target, (1.1e9, 1.1e9))
     carry(["mesh.mtl"], source, target, force=True)
     assert place.read_bytes() == source_of_it.read_bytes()
 
