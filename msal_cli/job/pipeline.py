@@ -297,18 +297,21 @@ class FileRun:
             result, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
                 wait_for_noise()
+                # Only what is measured is in memory from here on.
+                chosen.mesh.release_normals()
                 limit = None if constraints is None else constraints.limit
                 vertices, moved = _store_positions(
                     ready, result, mesh_file, store or mesh_file.as_stored, limit
                 )
-                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
-                harm = measured.harm
+                whole, start = None, chosen.mesh.vertices
                 if chosen.share < 1.0:
                     # A part of a result is taken only where all of it would be.
-                    start = chosen.mesh.vertices
                     whole = start + (result - start) / chosen.share
-                    harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
                 del result
+                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
+                harm = measured.harm
+                if whole is not None:
+                    harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
             if harm is None or choice is None:
                 break
             weaker = choose_weaker(mesh, settings, choice, harm)
@@ -410,14 +413,15 @@ def _store_positions(
     for share in (*_SHARES, None):
         vertices = ready.to_file_vertices(wanted, mesh_file.vertices)
         mesh_file.forget_vertices()
-        stored = store(vertices)
-        if stored is vertices:
+        exact, vertices = vertices, store(vertices)
+        if vertices is exact:
             return vertices, result
-        moved = at_other_positions(ready, stored).vertices
+        del exact
+        moved = at_other_positions(ready, vertices).vertices
         if share is None or limit is None:
             break
         is_beyond = distances(start, moved) > limit
         if not is_beyond.any():
             break
         wanted = np.where(is_beyond[:, None], start + share * (result - start), wanted)
-    return stored, moved
+    return vertices, moved

@@ -369,7 +369,7 @@ def component_labels(n_vertices: int, faces: Ints) -> Ints:
     """For each vertex (n,) the lowest number of a vertex in its connected part."""
     labels = np.empty(n_vertices, dtype=np.int32)
     _count_components(faces, np.ones(n_vertices, dtype=bool), labels)
-    while (above := labels[labels]).tobytes() != labels.tobytes():
+    while not np.array_equal(above := labels[labels], labels):
         labels = above
     return labels
 

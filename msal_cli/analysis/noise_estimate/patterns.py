@@ -182,9 +182,9 @@ def _collect_around(mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> L
 def are_mirrored(mesh: Mesh, vertices: Longs, least: float) -> bool:
     """Whether more than the share ``least`` of some ``vertices`` (k,) have a mirror image in the
     mesh, across the middle of its box along one axis of the file.  Never in a large mesh."""
-    used = mesh.vertices[mesh.topology.has_ring]
-    if not len(vertices) or len(used) > MAX_MIRRORED:
+    if not len(vertices) or len(mesh.vertices) > MAX_MIRRORED:
         return False
+    used = mesh.vertices[mesh.topology.has_ring]
     chosen = mesh.vertices[vertices[:: -(-len(vertices) // MIRRORED_PLACES)]]
     twice_middle = used.min(axis=0) + used.max(axis=0)
     near = NEAR_IMAGE * mesh.mean_edge_length
