@@ -135,9 +135,9 @@ after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other 
 SURE_UNNAMED = 0.98
 """The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
 
-MAX_NON_MANIFOLD, SURE_DECIMATED = 0.003, 0.98
+MAX_NON_MANIFOLD, SURE_DECIMATED = 0.001, 0.98
 """Share of non-manifold edges above which noise needs a probability, of the ``INDEPENDENT_KINDS``
-``SURE_DESIGN``: decimation leaves such edges, 0.4 to 5 % on coarse parts of robots, and simulated
+``SURE_DESIGN``: decimation leaves such edges, 0.2 to 5 % on coarse parts of robots, and simulated
 and real scanners have none."""
 
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
@@ -475,10 +475,9 @@ def characterize(mesh: Mesh) -> Estimate:
 def _is_in_pieces(mesh: Mesh) -> bool:
     """Whether most vertices are in connected parts of fewer than ``MIN_VERTICES``: a convex
     decomposition, say."""
-    used = mesh.topology.has_ring
-    labels = component_labels(len(mesh.vertices), mesh.faces)[used]
-    sizes = np.bincount(labels)[labels]
-    return bool((sizes < MIN_VERTICES).mean() > 0.5)
+    labels = component_labels(len(mesh.vertices), mesh.faces)[mesh.topology.has_ring]
+    sizes = np.bincount(labels)
+    return bool(sizes[sizes < MIN_VERTICES].sum() > 0.5 * len(labels))
 
 
 def _with_level(verdict: Verdict, level: float) -> Verdict:
