@@ -179,7 +179,7 @@ def test_neighbours_that_are_outliers_together_are_found(size):
 
 
 def test_place_size_direction_and_threads_make_no_difference(monkeypatch):
-    mesh, _ = with_outliers(prepare_mesh(*torus(260, 130)).mesh, 0.1, 0.01)
+    mesh, _ = with_outliers(prepare_mesh(*torus(150, 75)).mesh, 0.1, 0.01)
     monkeypatch.setenv("MSAL_THREADS", "1")
     found = find_outliers(mesh)
     monkeypatch.setenv("MSAL_THREADS", "2")

@@ -96,7 +96,7 @@ def test_threads_do_not_change_a_bit(run, monkeypatch):
     monkeypatch.setattr(parallel, "MIN_RANGE", 100)
     mesh = scan(around=28, across=18)
     results = []
-    given = {name: 5 for name in ("iterations",) if name in run.defaults}
+    given = {name: 2 for name in ("iterations",) if name in run.defaults}
     for count in ("1", "3"):
         monkeypatch.setenv("MSAL_THREADS", count)
         results.append(run(dataclasses.replace(mesh), **given).vertices)
