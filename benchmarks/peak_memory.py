@@ -4,7 +4,7 @@
 
 The mesh is a noisy torus of AROUND * AROUND / 2 vertices and twice as many faces.  Every case
 runs in a fresh process, kernels compiled before; ``auto`` among the methods is --auto.  Printed are
-megabytes (10^6 bytes) of resident memory at the peak.  The figures in ``codecs/forecast.py`` come
+megabytes (10^6 bytes) of resident memory at the peak.  The figures in ``codecs/header.py`` come
 from this program: the rows ``empty`` give what a process needs before it reads anything.
 """
 
