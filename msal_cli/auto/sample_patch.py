@@ -10,6 +10,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.quantiles import find_distinct, quantiles
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.mesh import Mesh
 
@@ -89,7 +90,7 @@ def _grow(
         while len(front):
             inside[front] = True
             marked += len(front)
-            reached = np.unique(_rings_of(front, links))
+            reached = find_distinct(_rings_of(front, links))
             front = reached[~inside[reached]][: size - marked]
 
 
@@ -150,7 +151,7 @@ def surface_kind(mesh: Mesh) -> str:
     angles = _angles_deg(mesh)
     if not len(angles):
         return ORGANIC
-    usual, rough, sharp = np.percentile(angles, [75, 90, 98])
+    usual, rough, sharp = quantiles(angles, (0.75, 0.9, 0.98))
     if sharp > SHARP * usual and sharp > ROUGH_DEG:
         return MACHINED
     return TEXTURED if rough >= ROUGH_DEG and sharp <= EVEN * usual else ORGANIC

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from msal_cli.job import records
+from msal_cli.kernels.quantiles import quantiles
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DistanceStatistics, Harm
@@ -232,4 +231,4 @@ def is_ruled_by_spike(fidelity: Floats | None) -> bool:
         return False
     sample = fidelity[:: max(len(fidelity) // _MAX_SAMPLED, 1)]
     sample = sample[sample > 0.0]
-    return len(sample) > 0 and float(np.quantile(sample, 0.99)) < _RULED
+    return len(sample) > 0 and float(quantiles(sample, (0.99,))[0]) < _RULED

@@ -1,9 +1,11 @@
-"""Medians, quantiles of numbers and of distributions, and clusters of plain numbers.
+"""Medians, quantiles of numbers and of distributions, distinct numbers and clusters of them.
 
-Medians are found without the masked arrays that numpy's own imports.
+They are found without the masked arrays that numpy's own functions import.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,22 @@ def median(values: Floats) -> float:
     # Partitioning by two ranks takes six times as long.
     below = parts[middle] if len(values) % 2 else parts[:middle].max()
     return float(below + parts[middle]) / 2.0
+
+
+def find_distinct(values: NDArray[Any]) -> NDArray[Any]:
+    """The whole numbers from 0 on in ``values`` (n,), each once, in ascending order."""
+    ordered = np.sort(values)
+    return ordered[np.diff(ordered, prepend=-1) > 0]
+
+
+def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
+    """Values (s,) below which ``shares`` of some hundred lie, as ``numpy.quantile`` gives them."""
+    ordered = np.sort(values)
+    places = np.asarray(shares) * (len(ordered) - 1)
+    low = places.astype(np.int64)
+    high = np.minimum(low + 1, len(ordered) - 1)
+    result: Floats = ordered[low] + (ordered[high] - ordered[low]) * (places - low)
+    return result
 
 
 def quantile_above_zero(values: Floats, share: float) -> float:

@@ -35,6 +35,7 @@ from msal_cli.kernels.normal_regression import (
     count_vectors,
     measure_ripples,
 )
+from msal_cli.kernels.quantiles import quantile_above_zero
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.kernels.vertex_update import update_vertices
@@ -134,7 +135,7 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
     ripples = np.where(count > 0, ring_means(taken, *links.one_ring) - taken, 0.0)
     power = average_around(ripples * ripples * (count / (count + 1.0)), *links.one_ring, AROUND)
     mean = float(power.mean())
-    if mean > MAX_WHITE or np.quantile(power, 0.25) < MIN_WHITE:
+    if mean > MAX_WHITE or quantile_above_zero(power, 0.25) < MIN_WHITE:
         return positions
     level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
     back, _ = restoration(taken / level, *links.one_ring, 1.0, CAUTION)

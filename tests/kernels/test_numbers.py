@@ -10,8 +10,13 @@ from msal_cli.kernels import quantiles, vectors
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
-def test_it_is_that_of_numpy(values):
+def test_they_are_those_of_numpy(values):
     assert quantiles.median(np.array(values)) == np.median(values)
+    shares = (0.0, 0.3, 1.0)
+    found = quantiles.quantiles(np.array(values), shares)
+    assert found == pytest.approx(np.quantile(values, shares), rel=1e-12, abs=1e-6)
+    whole = np.abs(values).astype(np.int64)
+    assert quantiles.find_distinct(whole).tolist() == np.unique(whole).tolist()
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])

@@ -26,6 +26,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     ring_rows,
 )
 from msal_cli.arrays import Floats
+from msal_cli.kernels.quantiles import median
 from msal_cli.mesh import Mesh
 
 MAX_GROUPS = 24
@@ -274,7 +275,7 @@ def _main_axis(groups: Groups) -> Floats:
 def find_main_offset(offsets: Floats) -> Floats:
     """Direction in which vertices are furthest off the middles of their rings."""
     lengths = np.sqrt((offsets * offsets).sum(axis=1))
-    most = 2.0 * float(np.median(lengths))
+    most = 2.0 * median(lengths)
     clipped = offsets * (np.minimum(lengths, most) / np.maximum(lengths, 1e-300))[:, None]
     main: Floats = np.linalg.eigh(clipped.T @ clipped)[1][:, 2]
     return main
@@ -315,8 +316,8 @@ def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
         along = along[steep] / sines[steep][:, None]
         ways = (offsets[steep] * along).sum(axis=1) / sines[steep]
         other = (offsets[steep] * np.cross(normals[steep], along)).sum(axis=1)
-        slide = 1.4826 * float(np.median(np.abs(ways)))
-        across = 1.4826 * float(np.median(np.abs(other)))
+        slide = 1.4826 * median(np.abs(ways))
+        across = 1.4826 * median(np.abs(other))
     return slide, across, agreement
 
 
@@ -482,7 +483,7 @@ def _roughness(
     if not has.any():
         return 0.0
     ratios = variances[has] if scale is None else variances[has] / scale[has]
-    return min(float(np.median(ratios)) / (step * step / 12.0), 100.0)
+    return min(median(ratios) / (step * step / 12.0), 100.0)
 
 
 def _axis_steps(differences: Floats) -> list[float]:

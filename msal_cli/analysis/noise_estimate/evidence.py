@@ -41,13 +41,13 @@ from msal_cli.analysis.noise_estimate.fits import (
     WhiteEstimate,
     chi_square_quantile,
     quantile,
-    quantiles,
     ring_offsets,
     ring_rows,
     split_regions,
     take_survey,
 )
 from msal_cli.arrays import Floats, Longs
+from msal_cli.kernels.quantiles import median, quantiles
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
@@ -249,7 +249,7 @@ def find_differences(survey: Survey) -> Differences | None:
         return None
     middles, labels = split_regions(survey.positions, count)
     # Nearly all places have as many degrees of freedom.
-    freedoms = np.median(survey.freedoms[has, : TWO + 1], axis=0)
+    freedoms = np.array([median(column) for column in survey.freedoms[has, : TWO + 1].T])
     factors = np.array([chi_square_quantile(freedoms, share) for share in REGION_SHARES[1:3]])
     lows, means = np.zeros(len(middles)), np.zeros(len(middles))
     is_pure, known = np.zeros(len(middles), dtype=bool), np.zeros(len(middles), dtype=bool)
@@ -270,7 +270,7 @@ def find_differences(survey: Survey) -> Differences | None:
     lowest, highest = math.sqrt(lows[known].min()), math.sqrt(lows[known].max())
     if highest < MIN_LOUD or highest < UNEVEN * lowest:
         return None
-    middle = float(np.median(lows[known]))
+    middle = median(lows[known])
     lows, means = np.where(known, lows, middle), np.where(known, means, middle)
     scale = np.where(is_pure & (lows > LOUD_SHARE * highest**2), lows, 0.0)[labels]
     return Differences(middles, labels, lows, means, is_pure, scale)
@@ -311,7 +311,7 @@ def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[fl
     within = np.sqrt(np.maximum(squares - along * along, 0.0))
     # Among many outliers some are not detected, but they are as far off.
     share = max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
-    return share, float(np.median(within[is_out]))
+    return share, median(within[is_out])
 
 
 # The numbers
@@ -522,7 +522,7 @@ def _survey_numbers(survey: Survey, base: float) -> list[float]:
         ratios = (logs[:, wide] - logs[:, narrow])[np.isfinite(logs[:, wide] - logs[:, narrow])]
         numbers += quantiles(ratios, (0.1, 0.5, 0.9)).tolist() if len(ratios) else [MISSING] * 3
         some = (logs[:, wide] - logs[:, narrow])[flat]
-        numbers += [float(np.median(some)), float(some.std())] if len(some) else [MISSING] * 2
+        numbers += [median(some), float(some.std())] if len(some) else [MISSING] * 2
     return numbers
 
 
@@ -602,7 +602,7 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
     return [
         *(float(products[some].sum() / max(squares[some].sum(), TINY * TINY)) for some in thirds),
         float((np.sign(heights[of]) == np.sign(their_heights)).mean()),
-        float(np.median(products / np.maximum(squares, TINY * TINY))),
+        median(products / np.maximum(squares, TINY * TINY)),
         float(along.sum() / max(their_squares.sum(), TINY * TINY)),
         float((along > 0.0).mean()),
         float(kurtosis.std()) if is_known.any() else MISSING,
@@ -613,14 +613,14 @@ def _region_numbers(
     white: WhiteEstimate, survey: Survey, differences: Differences | None, base: float
 ) -> list[float]:
     regions = np.sort(white.regions) / white.edge
-    numbers = _logs(np.array([regions[0], np.median(regions), regions[-1]]), base)
+    numbers = _logs(np.array([regions[0], median(regions), regions[-1]]), base)
     if differences is None:
         return numbers + [MISSING] * 18
     lows = np.sqrt(np.maximum(np.sort(differences.lows), 0.0))
     colour = find_colour(survey, differences.scale)
     return [
         *numbers,
-        *_logs(np.array([lows[0], np.median(lows), lows[-1]]), base),
+        *_logs(np.array([lows[0], median(lows), lows[-1]]), base),
         float((differences.scale > 0.0).mean()),
         float(differences.is_pure.mean()),
         _log(math.sqrt(weigh_differences(differences)), base),

@@ -9,7 +9,6 @@ right for having looked there.  The survey looks at some hundred places over one
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,17 +44,6 @@ def quantile(values: Floats, share: float) -> float:
     """The value (of at least one) below which a share of them lies; one of them, no mean of two."""
     rank = int(share * (len(values) - 1))
     return float(np.partition(values, rank)[rank])
-
-
-def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
-    """Values (s,) below which ``shares`` of them lie, as ``numpy.quantile`` gives them, which takes
-    ten times as long for a few hundred."""
-    ordered = np.sort(values)
-    places = np.asarray(shares) * (len(ordered) - 1)
-    low = places.astype(np.int64)
-    high = np.minimum(low + 1, len(ordered) - 1)
-    result: Floats = ordered[low] + (ordered[high] - ordered[low]) * (places - low)
-    return result
 
 
 def chi_square_quantile(freedoms: Floats, share: float) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 
 from msal_cli.analysis.noise_estimate.fits import Survey, ring_rows
 from msal_cli.arrays import Flags, Floats, Floats32, Longs
+from msal_cli.kernels.quantiles import find_distinct, median
 from msal_cli.mesh import Mesh
 
 PLACES, FIRST_PLACES = 24, 6
@@ -78,10 +79,10 @@ def is_patterned(mesh: Mesh, survey: Survey) -> bool:
 
 def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
     lengths = np.array([place.find_length() for place in places])
-    usual = float(np.median(lengths))
+    usual = median(lengths)
     if usual > LONGEST or float((np.abs(lengths - usual) <= 1.0).mean()) < min_alike:
         return False
-    return float(np.median([place.explain() for place in places])) >= MIN_EXPLAINED
+    return median(np.array([place.explain() for place in places])) >= MIN_EXPLAINED
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ def _collect_around(mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> L
     most = (REACH * mesh.mean_edge_length) ** 2
     while len(last) and len(found) < MAX_AROUND:
         _, new, _ = ring_rows(mesh, last)
-        new = np.unique(new[~is_met[new]])
+        new = find_distinct(new[~is_met[new]])
         offsets = mesh.vertices[new] - mesh.vertices[vertex]
         is_near = (offsets * offsets).sum(axis=1) < most
         last = new[is_near & (normals[new] @ normal > 0.0)]
