@@ -56,6 +56,12 @@ by 1.6 % for those it was chosen on, by 1 % for the others."""
 MILD = 3
 """How many of the linear filters are tried on white noise: wider ones blur."""
 
+ALONG_NORMALS = ("white", "uneven", "impulsive")
+"""Kinds of noise under which linear filters do not slide: on the scans of benchmarks/choices.py
+vertex errors are less by a quarter then, and angles by 1 %.  Under noise of other directions
+angles would grow by a third and more.  They are compared with what they slide, which tells better
+how much they smooth."""
+
 STRONG = 0.25
 """Mean edge lengths of noise from which ``--auto`` comes much nearer to the truth on any
 surface."""
@@ -155,7 +161,7 @@ def _choose_by_risk(
     errors = errors / edge
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
     best = order[0]
-    members, rows = [candidates[best]], weights[:, [best]]
+    members, rows = [_undo_sliding(candidates[best], noise)], weights[:, [best]]
     if wishes.strength > 0.0:
         stronger = [*blends.stronger_candidates(round(level, 4))[1:], *_linear(mesh)]
         members, rows = blends.mix_in_stronger(
@@ -175,6 +181,13 @@ def _choose_by_risk(
         tried=len(candidates),
         runners_up=next_best,
     )
+
+
+def _undo_sliding(chosen: Candidate, noise: NoiseLevel) -> Candidate:
+    """What was chosen, without the sliding of a linear filter where the noise is along normals."""
+    if chosen not in LINEAR or noise.character.kind not in ALONG_NORMALS:
+        return chosen
+    return dataclasses.replace(chosen, given={**chosen.given, "sliding": "undone"})
 
 
 def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:

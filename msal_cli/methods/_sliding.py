@@ -1,4 +1,4 @@
-"""Motion within the surface: that of a fit to normals undone, and triangles evened out."""
+"""Motion within the surface: that of a filter undone, and triangles evened out."""
 
 import numpy as np
 
@@ -22,13 +22,16 @@ direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans th
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
 
 
-def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
+def undo_sliding(
+    mesh: Mesh, positions: Floats, sliding: str, boundary: str | None = None
+) -> Floats:
     """The outcome (n, 3) of a filter, with its sliding kept or undone.
 
-    Fitting vertices to normals also moves them within the surface, a tenth of an edge and more
-    under strong noise.  Where the noise was along the normals that is away from the truth.  To undo
-    it, each vertex goes back sideways until it is on the line through its scanned position along
-    the outcome's normal; then a few passes fit it to the outcome's faces once more.
+    Averages of neighbours and fits to normals also move vertices within the surface, a tenth of an
+    edge and more under strong noise.  Where the noise was along the normals that is away from the
+    truth.  To undo it, each vertex goes back sideways until it is on the line through its scanned
+    position along the outcome's normal; after a fit to normals, which has a ``boundary``, a few
+    passes fit it to the outcome's faces once more.
     """
     if sliding == "kept" or (sliding == "auto" and sideways_share(mesh) > SIDEWAYS):
         return positions
@@ -37,6 +40,8 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
     heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     has_normal = (normals != 0.0).any(axis=1)[:, None]
     on_lines = np.where(has_normal, mesh.vertices + heights[:, None] * normals, positions)
+    if boundary is None:
+        return on_lines
     return update_vertices(
         on_lines,
         face_normals(positions, mesh.faces),

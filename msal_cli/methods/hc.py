@@ -25,6 +25,7 @@ from msal_cli.kernels.umbrellas import hc_sweep
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import ring_of
 
 BYTES_PER_FACE = 10
@@ -50,6 +51,7 @@ class Parameters:
         more="less is smoothed at each iteration",
     )
     boundary: str = fields.rim()
+    sliding: str = fields.sliding()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
@@ -63,4 +65,4 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             mesh.vertices, positions, ring_start, ring, parameters.alpha, parameters.beta
         )
         on_sweep(sweep + 1, parameters.iterations)
-    return timer.finish(positions)
+    return timer.finish(undo_sliding(mesh, positions, parameters.sliding))

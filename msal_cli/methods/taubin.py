@@ -29,6 +29,7 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import ring_of
 
 LARGEST_PASS_BAND = 1.0
@@ -67,6 +68,7 @@ class Parameters:
         more="(nearer to zero, but not 0) smoother, with more shrinkage",
     )
     boundary: str = fields.rim()
+    sliding: str = fields.sliding()
 
     def __post_init__(self) -> None:
         if self.inflate and 1.0 / self.shrink + 1.0 / self.inflate > LARGEST_PASS_BAND:
@@ -99,4 +101,4 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         2 * parameters.iterations,
         on_pass,
     )
-    return timer.finish(result.vertices)
+    return timer.finish(undo_sliding(mesh, result.vertices, parameters.sliding))

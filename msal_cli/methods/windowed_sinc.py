@@ -26,6 +26,7 @@ from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sin
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import ring_of
 
 
@@ -47,6 +48,7 @@ class Parameters:
         more="more of the shape, and of the noise, is kept",
     )
     boundary: str = fields.rim()
+    sliding: str = fields.sliding()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
@@ -56,4 +58,4 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer.start_sweeps()
     coefficients = sinc_coefficients(parameters.pass_band, parameters.iterations)
     (vertices,) = smooth_by_windowed_sinc(mesh.vertices, *rings, [coefficients], on_sweep)
-    return timer.finish(vertices)
+    return timer.finish(undo_sliding(mesh, vertices, parameters.sliding))
