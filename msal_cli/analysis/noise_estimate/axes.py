@@ -495,11 +495,11 @@ def _find_frames(directions: Floats) -> Iterator[Floats]:
     """Axes (3, 3), one a row, of turned grids that edges with these directions (d, 3) may lie on:
     two of the most frequent directions across one another, and the third one."""
     some = directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)]
-    shares = np.empty(len(some))
+    shares, columns = np.empty(len(some)), np.ascontiguousarray(directions.T)
     for start in range(0, len(some), AT_ONCE):
         block = slice(start, start + AT_ONCE)
-        cosines = np.abs(np.einsum("ij,kj->ik", some[block], directions))
-        shares[block] = (cosines > 1.0 - PARALLEL).mean(axis=1)
+        cosines = np.abs(np.einsum("ij,jk->ik", some[block], columns))
+        shares[block] = np.count_nonzero(cosines > 1.0 - PARALLEL, axis=1) / len(directions)
     main: list[Floats] = []
     for candidate in np.argsort(-shares, kind="stable"):
         if shares[candidate] < MIN_PARALLEL or len(main) == MAX_DIRECTIONS:
