@@ -30,6 +30,7 @@ from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate, screen_repr
 from msal_cli.job.settings import (
     DEFAULT_BACKUP,
+    METRES,
     Assumption,
     Encoding,
     Keep,
@@ -278,7 +279,11 @@ def _parse(
 ) -> tuple[tuple[Gate, ...], Settings]:
     """The gates and the settings for the arguments of a function of the API; UsageError also for a
     parameter that is given twice, and for a keyword that neither it nor any method has."""
-    parameters, more = given["parameters"] or {}, given["more"]
+    parameters, more, unit = given["parameters"] or {}, given["more"], given["unit"]
+    if not isinstance(parameters, Mapping):
+        raise UsageError(f"parameters = {parameters!r} is not allowed", hint='give {"K": 0.5}')
+    if unit not in (None, *METRES):
+        raise UsageError(f"there is no unit {unit!r}", hint=f"give one of {', '.join(METRES)}")
     own = inspect.signature(function).parameters
     known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}
     for name in more:
@@ -293,7 +298,7 @@ def _parse(
     if twice := sorted(parameters.keys() & more.keys()):
         raise UsageError(f"{twice[0]} is given twice", hint="give it once")
     assignments = [(name, name, value) for name, value in {**parameters, **more}.items()]
-    gates = parse_gates(to_texts(given.get("fail_on", ())), MeshRecord, given["unit"])
+    gates = parse_gates(to_texts(given.get("fail_on", ())), MeshRecord, unit)
     refuse_without_reference(gates, "measure it with msal_cli.compare")
     is_checked = given.get("intersections") or need_intersections(gates)
     return gates, parse({**given, "parameters": assignments, "intersections": is_checked})
@@ -314,6 +319,8 @@ def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
         )
     if values.min() < 0 or values.max() >= n:
         raise UsageError(f"lock names a vertex that is not there, of {n:,}")
+    if len(values) == n and values.max() <= 1:
+        raise UsageError("lock is a mask of whole numbers", hint="give lock.astype(bool)")
     mask[values] = True
     return mask
 

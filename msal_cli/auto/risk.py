@@ -334,7 +334,8 @@ class CandidateRuns:
             heights = np.einsum("ij,ij->i", vertices - true.vertices, across)[self.part.judged]
             cosines = np.einsum("ij,ij->i", face_normals(vertices, true.faces), normals)
             angle = float(np.arccos(np.clip(cosines, -1.0, 1.0)).mean())
-            rows.append((float(np.sqrt((heights * heights).mean())), angle))
+            square = (heights * heights).sum() / max(len(heights), 1)
+            rows.append((float(np.sqrt(square)), angle))
         lengths, angles = np.maximum(np.array(rows), np.finfo(float).tiny).T
         places, tilts = 2.0 * np.log(lengths / lengths[0]), 2.0 * np.log(angles / angles[0])
         return places[1:], tilts[1:], lengths[1:]

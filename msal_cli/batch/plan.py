@@ -150,7 +150,7 @@ def _check_in_place(
             "--in-place cannot change the format", hint="name an output with -o to use --to"
         )
     if backup is not None:
-        if not backup or "/" in backup or os.sep in backup or "\0" in backup:
+        if not isinstance(backup, str) or not backup or {"/", os.sep, "\0"} & {*backup}:
             raise UsageError(f"{backup!r} cannot be the suffix of a backup")
         if is_mesh_name("a.ply" + backup):
             raise UsageError(

@@ -303,6 +303,10 @@ def _length(value: Any, label: str, unit: str | None) -> str:
     return str(parse_length(text, label, unit))
 
 
+def _property(value: Any, label: str, unit: str | None) -> str:
+    return value if isinstance(value, str) else _refuse(label, value, "the name of a property")
+
+
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
     return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))
 
@@ -327,7 +331,7 @@ _CHECKS: dict[str, Check | None] = {
     "assume": _word_of(Assumption),
     "max_move": _length,
     "lock": _locks,
-    "weights": None,
+    "weights": _property,
     "despike": None,
     "min_noise": lambda value, *more: NEGLIGIBLE if value == NEGLIGIBLE else _length(value, *more),
     "to": lambda value, label, unit: parse_format(value, label, writable_formats()),
@@ -364,7 +368,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     values = {
         name: check(given[name], label(name), unit) if check else given[name]
         for name, check in _CHECKS.items()
-        if given.get(name) not in (None, ())
+        if given.get(name) is not None
     }
     wishes = {name: values.pop(name) for name in _WISHES if name in values}
     method, parameters = _choose_method(given.get("method"), given["parameters"], wishes, label)
@@ -446,7 +450,7 @@ def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> 
 
 def parse_format(text: str, label: str, known: Sequence[str]) -> str:
     """A format in the spelling of those ``known``, a leading dot aside; else UsageError."""
-    plain = text.lower().lstrip(".")
+    plain = str(text).lower().lstrip(".")
     if plain in known:
         return plain
     raise UsageError(
@@ -462,9 +466,14 @@ def to_number(value: Any, label: str) -> float:
         raise UsageError(f"{label} is {value!r}, and must be a number") from None
 
 
-def to_texts(texts: str | Sequence[str]) -> tuple[str, ...]:
-    """The texts where one may stand for a sequence."""
-    return (texts,) if isinstance(texts, str) else tuple(texts)
+def to_texts(texts: Any) -> tuple[str, ...]:
+    """One text or several as a tuple; UsageError for anything else."""
+    is_one = isinstance(texts, str) or not isinstance(texts, Iterable)
+    listed = (texts,) if is_one else tuple(texts)
+    for text in listed:
+        if not isinstance(text, str):
+            raise UsageError(f"{text!r} is not a text")
+    return listed
 
 
 # Names and forecasts

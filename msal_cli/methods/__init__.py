@@ -22,7 +22,7 @@ def find(name: str) -> Method:
     if name not in names():
         import difflib
 
-        close = difflib.get_close_matches(name, names(), n=3)
+        close = difflib.get_close_matches(str(name), names(), n=3)
         hint = f"did you mean {' or '.join(close)}?" if close else "see `msal methods`"
         if name == "auto":
             hint = "`msal denoise --auto` chooses one for each mesh"
