@@ -6,7 +6,6 @@ becomes a record with an error.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -74,8 +73,10 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, the longest part.
     """
     try:
-        with nullcontext() if data is not None else room_for_files((path,), format):
-            data = header.read_input(path, format) if data is None else data
+        if data is not None:
+            return _inspect(data, path, format, with_intersections)
+        with room_for_files((path,), format, with_intersections=with_intersections):
+            data = header.read_input(path, format)
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
         return InfoRecord(input=path, error=Failure.of(to_known_error(error, path)))
@@ -151,7 +152,7 @@ def measure_files(
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
-    with room_for_files((before, after), format):
+    with room_for_files((before, after), format, with_intersections=with_intersections):
         surfaces = surface_of(open_file(before, format)), surface_of(open_file(after, format))
         return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 
