@@ -154,6 +154,10 @@ def damaged(message: str, where: str = "") -> FormatError:
     return FormatError(message, where=where)
 
 
+def other_format(message: str, where: str, suffix: str) -> FormatError:
+    return FormatError(message, where=where, hint=f"is it another format under a .{suffix} name?")
+
+
 def cut_short(message: str, where: str = "") -> TruncatedError:
     return TruncatedError(message, where=where, hint=CUT_SHORT)
 

@@ -172,7 +172,7 @@ def expected_bytes(head: memoryview, total: int) -> int:
         raise errors.TruncatedError(f"the file has only {total} bytes", hint=errors.EXPORT_AGAIN)
     magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
     if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise errors.damaged("the file does not begin as a GLB file does", "byte 0")
+        raise errors.other_format("the file does not begin as a GLB file does", "byte 0", "glb")
     if version != 2:
         raise errors.UnsupportedError(
             f"glTF version {version} is not read", hint="convert it to version 2"

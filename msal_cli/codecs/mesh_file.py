@@ -27,7 +27,7 @@ from msal_cli.codecs.slots import (
     overwrite,
     require_range,
 )
-from msal_cli.errors import InternalError, UnsupportedError, no_faces, not_finite
+from msal_cli.errors import InternalError, UnsupportedError, format_count, no_faces, not_finite
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -167,7 +167,7 @@ class Layout:
     properties: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
-    held: str = ""  # what cells the file has, for the message where none is a surface
+    held: str = ""  # what the file has but points, for the message where it has no surface
     # (m, 3) int32, the triangles, where the parser has made them and checked them and the
     # positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
     # are triangles
@@ -249,8 +249,10 @@ class MeshFile(Surface):
         faces = layout.faces
         if faces is None:
             if not len(layout.sizes):
+                points = format_count(len(self.vertices), "point")
+                held = ", ".join(filter(None, (points, layout.held)))
                 raise no_faces(
-                    f"the file has no surface faces; it holds {layout.held or 'nothing'}",
+                    f"the file has no surface faces; it holds {held}",
                     hint="msal denoises surfaces: make one of these points or cells first",
                 )
             require_finite(self.vertices)

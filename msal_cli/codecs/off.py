@@ -19,7 +19,14 @@ from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
 from msal_cli.codecs.text_slots import TextSlots, Words, require_indices
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, damaged, format_count
+from msal_cli.errors import (
+    FormatError,
+    TruncatedError,
+    UnsupportedError,
+    damaged,
+    format_count,
+    other_format,
+)
 from msal_cli.storage.regular import Buffer
 
 _HEADER = re.compile(
@@ -32,11 +39,7 @@ def parse(data: Buffer) -> Layout:
     """Read an OFF file; UnsupportedError for a binary one, or another number of dimensions."""
     header = _HEADER.match(data)
     if not header:
-        raise FormatError(
-            "the file does not begin with OFF",
-            where="line 1",
-            hint="is it another format under a .off name?",
-        )
+        raise other_format("the file does not begin with OFF", "line 1", "off")
     kinds, dimension, binary = header.groups(b"")
     has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
     if dimension:
@@ -84,12 +87,13 @@ def parse(data: Buffer) -> Layout:
     }
     is_face = sizes >= 3
     n_small = int(np.count_nonzero(~is_face))
+    small = f"{format_count(n_small, 'face')} of fewer than three corners"
     warnings = {
         f"{format_count(n_behind, 'line')} behind the last face, kept": n_behind,
         f"{n_extra - n_announced} numbers behind each position are kept as they are": (
             n_extra > n_announced or (n_extra and not n_announced)
         ),
-        f"{format_count(n_small, 'face')} of fewer than three corners, kept and left out": n_small,
+        f"{small}, kept and left out": n_small,
     }
     return Layout(
         "ascii",
@@ -100,7 +104,7 @@ def parse(data: Buffer) -> Layout:
         normals,
         properties=tuple(word for word, has_it in is_there.items() if has_it),
         warnings=tuple(warning for warning, is_true in warnings.items() if is_true),
-        held=f"{n_vertices:,} vertices and {n_faces:,} faces",
+        held=small if n_small else "",
     )
 
 

@@ -43,9 +43,8 @@ def parse(data: Buffer) -> Layout:
     """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
     header = _HEADER.match(data)
     if not header:
-        raise errors.damaged(
-            "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY", "line 1"
-        )
+        message = "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY"
+        raise errors.other_format(message, "line 1", "vtk")
     is_text = header[4].upper() == b"ASCII"
     reader = _Reader(data, header.end(), is_text=is_text)
     words = reader.line()

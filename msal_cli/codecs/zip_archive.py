@@ -45,7 +45,7 @@ class Archive:
         self._data = memoryview(data).cast("B")
         file = io.BytesIO(data)
         if self._data[:4] not in (_LOCAL, _END):
-            raise errors.damaged("the file is not a zip archive", "byte 0")
+            raise errors.other_format("the file is not a zip archive", "byte 0", "3mf")
         if not zipfile.is_zipfile(file):
             where = f"byte {len(self._data)}"
             raise errors.cut_short("the archive has no end record", where)
