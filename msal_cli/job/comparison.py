@@ -6,6 +6,7 @@ becomes a record with an error.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -73,10 +74,8 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, the longest part.
     """
     try:
-        if data is not None:
-            return _inspect(data, path, format, with_intersections)
-        with room_for_files((path,), format, with_intersections=with_intersections):
-            data = header.read_input(path, format)
+        with nullcontext() if data is not None else room_for_files((path,), format):
+            data = header.read_input(path, format) if data is None else data
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
         return InfoRecord(input=path, error=Failure.of(to_known_error(error, path)))
@@ -152,7 +151,7 @@ def measure_files(
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
-    with room_for_files((before, after), format, with_intersections=with_intersections):
+    with room_for_files((before, after), format):
         surfaces = surface_of(open_file(before, format)), surface_of(open_file(after, format))
         return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 

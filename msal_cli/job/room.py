@@ -24,7 +24,6 @@ from msal_cli.job.settings import (
     ADAPTIVE,
     AUTO,
     FORECAST,
-    INTERSECTIONS_BYTES_PER_FACE,
     NO_LIMITS,
     Limits,
     Settings,
@@ -59,10 +58,6 @@ _MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 _MAPPED_OF_SMALL, _MAPPED_BYTES = 0.3, 32_000_000
 
 
-# A tree of boxes of triangles, filled up to a power of two, and points; measured: 233.
-_NEAREST_BYTES_PER_FACE = 240
-
-
 @dataclass(frozen=True)
 class Scratch:
     """The folder in whose files the arrays of a mesh will live, the bytes that they take there at
@@ -87,13 +82,10 @@ def room_for_files(
     format: str | None = None,
     output: str | None = None,
     settings: Settings | None = None,
-    *,
-    with_intersections: bool = False,
 ) -> AbstractContextManager[None]:
     """Room for files that are read together; errors as of ``find_scratch``.
 
-    ``settings``: those by which the first of them is denoised, too; without them two files are
-    measured against each other.
+    ``settings``: those by which the first of them is denoised, too.
     """
     needs = [header.forecast(path, format=format).memory_bytes or BASE_BYTES for path in paths]
     words = "opening this file" if len(paths) == 1 else "opening these files"
@@ -101,12 +93,6 @@ def room_for_files(
         task = Task(paths[0], output or "", paths[0])
         needs[0] = forecast(task, settings).memory_bytes or BASE_BYTES
         words = _DENOISING
-    elif with_intersections or len(paths) > 1:
-        # One mesh after the other has a tree: the largest counts.
-        of_largest = needs.index(max(needs))
-        more = INTERSECTIONS_BYTES_PER_FACE if with_intersections else _NEAREST_BYTES_PER_FACE
-        largest = header.forecast(paths[of_largest], format=format, method_bytes_per_face=more)
-        needs[of_largest] = largest.memory_bytes or BASE_BYTES
     needed = BASE_BYTES + sum(need - BASE_BYTES for need in needs)
     return use_scratch(find_scratch(words, needed, output=output))
 

@@ -103,7 +103,7 @@ _FIELDS_BYTES_PER_FACE = 64
 # A second set of positions stays until the output is built.
 _OUTLIERS_BYTES_PER_FACE = 12
 # A tree of boxes with nine directions, filled up to a power of two; measured: 1,060.
-INTERSECTIONS_BYTES_PER_FACE = 1100
+_INTERSECTIONS_BYTES_PER_FACE = 1100
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` that was forecast: trying again would not help."""
@@ -560,7 +560,7 @@ def method_bytes_per_face(settings: Settings) -> int:
     if settings.looks_for_outliers:
         extra += _OUTLIERS_BYTES_PER_FACE
     if SELF_INTERSECTIONS in settings.checks:
-        extra += INTERSECTIONS_BYTES_PER_FACE
+        extra += _INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:
         return extra + max(methods.find(name).bytes_per_face for name in auto.METHODS)
     name, parameters = settings.method, settings.parameters
