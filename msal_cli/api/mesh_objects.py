@@ -274,7 +274,7 @@ def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
     if isinstance(faces, str):
         raise UsageError(
             f"faces are {faces!r}, a text",
-            hint=f"of a mesh object the method has to be named: method={faces!r}",
+            hint=f"after a mesh object arguments are named: method={faces!r} (kind, of add_noise)",
         )
     if faces is not None:
         return from_arrays(vertices, faces)

@@ -337,7 +337,7 @@ def manifest_error(path: str, error: OSError) -> OutputError:
         f"the manifest {path!r} cannot be used: {error.strerror}",
         hint="free some space and run again"
         if error.errno in (errno.ENOSPC, errno.EDQUOT)
-        else "the output folder must be writable",
+        else "the folder must be readable and writable",
         path=path,
     )
 

@@ -49,8 +49,9 @@ def parse(data: Buffer) -> Layout:
         raise UnsupportedError("binary OFF is not read")
     words = Words(data, header.end(), comment=b"#")
     n_vertices, n_faces = words.count(0, "vertices"), words.count(1, "faces")
-    # Counts may stand on one line or on several.
-    n_counts = min(3, int(np.searchsorted(words.lines, words.lines[1], side="right")))
+    # Counts may stand on one line or on several, and the third may be missing.
+    is_vertex = len(words) > 3 and words.lines[1] < words.lines[2] == words.lines[3]
+    n_counts = 2 if is_vertex else min(3, len(words))
     at, lengths, n_behind = _find_lines(words, n_counts, n_vertices, n_faces)
     first, at = at[n_vertices:], at[:n_vertices]
     n_extra = int(lengths[:n_vertices].min()) - 3 if n_vertices else 0
@@ -90,7 +91,7 @@ def parse(data: Buffer) -> Layout:
     small = f"{format_count(n_small, 'face')} of fewer than three corners"
     warnings = {
         f"{format_count(n_behind, 'line')} behind the last face, kept": n_behind,
-        f"{n_extra - n_announced} numbers behind each position are kept as they are": (
+        f"{format_count(n_extra - n_announced, 'number')} behind each position, kept": (
             n_extra > n_announced or (n_extra and not n_announced)
         ),
         f"{small}, kept and left out": n_small,

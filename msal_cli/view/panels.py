@@ -120,9 +120,9 @@ class _Words:
     def wrap(self, lines: Sequence[str], width: int) -> tuple[str, ...]:
         """The lines, with those that are too long broken at spaces."""
         rows: list[str] = []
-        # Letters are 0.6 of their size wide in the mean.
         for line in lines:
             is_cut = fit_text(line, self.text, width)[0].startswith("...")
+            # Letters are 0.6 of their size wide in the mean.
             rows += wrap(line, round(1.7 * width / self.text)) if is_cut else [line]
         return tuple(rows)
 

@@ -80,7 +80,7 @@ def test_meshlab_writes_colours_before_normals():
 
 def test_colours_behind_plain_positions_are_kept_and_told_of():
     file, _, output = patched(off(points=[point + " 9 8 7" for point in POINTS]), "a.off")
-    assert file.warnings == ("3 numbers behind each position are kept as they are",)
+    assert file.warnings == ("3 numbers behind each position, kept",)
     assert all(line.endswith(b" 9 8 7") for line in output.splitlines()[2:6])
 
 

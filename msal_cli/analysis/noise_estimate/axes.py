@@ -26,7 +26,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     ring_rows,
 )
 from msal_cli.arrays import Floats
-from msal_cli.kernels.quantiles import median
+from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.mesh import Mesh
 
 MAX_GROUPS = 24
@@ -316,8 +316,8 @@ def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
         along = along[steep] / sines[steep][:, None]
         ways = (offsets[steep] * along).sum(axis=1) / sines[steep]
         other = (offsets[steep] * np.cross(normals[steep], along)).sum(axis=1)
-        slide = 1.4826 * median(np.abs(ways))
-        across = 1.4826 * median(np.abs(other))
+        slide = PER_MEDIAN * median(np.abs(ways))
+        across = PER_MEDIAN * median(np.abs(other))
     return slide, across, agreement
 
 
