@@ -262,6 +262,46 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @compiled
+def count_parallel(some, columns, least, counts):
+    """How many unit vectors, the ``columns`` of (3, k), have with each of ``some`` (m, 3) a cosine
+    above ``least``, without its sign."""
+    for i in range(len(some)):
+        x, y, z = vec.load(some, i)
+        count = 0
+        for k in range(columns.shape[1]):
+            count += abs(x * columns[0, k] + y * columns[1, k] + z * columns[2, k]) > least
+        counts[i] = count
+
+
+@compiled
+def list_edge_lengths(count, vertices, ring_start, ring, lengths):
+    """Fill ``lengths`` with those of the edges of the first ``count`` vertices to such of higher
+    number; how many they are."""
+    filled = 0
+    for i in range(count):
+        for at in range(ring_start[i], ring_start[i + 1]):
+            if ring[at] > i:
+                lengths[filled] = vec.norm(vec.offset(vertices, ring[at], i))
+                filled += 1
+    return filled
+
+
+@compiled
+def is_any_near(point, near, first, vertices):
+    """Whether a vertex is as ``near`` as this to a ``point`` (3,) along each axis; ``first`` is the
+    axis that is looked at first."""
+    second, third = (first + 1) % 3, (first + 2) % 3
+    for i in range(len(vertices)):
+        if (
+            abs(vertices[i, first] - point[first]) <= near
+            and abs(vertices[i, second] - point[second]) <= near
+            and abs(vertices[i, third] - point[third]) <= near
+        ):
+            return True
+    return False
+
+
+@compiled
 def _row_sums(start, stop, values, row_start, row, sums):
     for i in range(start, stop):
         total = 0.0

@@ -92,6 +92,30 @@ def collect_patch(i, ring_start, ring, found, ends, slots):
 
 
 @compiled
+def collect_near(i, normal, reach, vertices, normals, ring_start, ring, met, found):
+    """Collect vertex i and what is near it over edges, in ``found``; how many they are.
+
+    They are within ``reach`` of it, and their ``normals`` (n, 3) less than a right angle from
+    ``normal`` (3,).  Where ``found`` is full collecting ends.  ``met`` (n,) is False everywhere,
+    before and after.
+    """
+    found[0], met[i] = i, True
+    at, count = 0, 1
+    while at < count and count < len(found):
+        for place in range(ring_start[found[at]], ring_start[found[at] + 1]):
+            k = ring[place]
+            is_near = vec.square_distance(vec.load(vertices, k), vec.load(vertices, i)) < reach**2
+            faces = vec.dot(vec.load(normals, k), (normal[0], normal[1], normal[2])) > 0.0
+            if count < len(found) and not met[k] and is_near and faces:
+                found[count], met[k] = k, True
+                count += 1
+        at += 1
+    for at in range(count):
+        met[found[at]] = False
+    return count
+
+
+@compiled
 def find_tangents(normal):
     """Two unit vectors across a unit normal, the first across the axis that it leans to least."""
     x, y, z = normal

@@ -26,6 +26,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     ring_rows,
 )
 from msal_cli.arrays import Floats
+from msal_cli.kernels.geometry import count_parallel
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.mesh import Mesh
 
@@ -347,9 +348,6 @@ MIN_OBLIQUE = 0.08
 PARALLEL = 1e-6
 """One less the cosine of the angle up to which edges have one direction."""
 
-AT_ONCE = 32
-"""Directions that are compared with all at a time: more would take memory."""
-
 MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
 """Edges whose directions are counted; the most frequent directions of which pairs are tried, as
 many as marching cubes have along axes and diagonals; and the least share of edges with such a
@@ -494,12 +492,10 @@ def _axis_steps(differences: Floats) -> list[float]:
 def _find_frames(directions: Floats) -> Iterator[Floats]:
     """Axes (3, 3), one a row, of turned grids that edges with these directions (d, 3) may lie on:
     two of the most frequent directions across one another, and the third one."""
-    some = directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)]
-    shares, columns = np.empty(len(some)), np.ascontiguousarray(directions.T)
-    for start in range(0, len(some), AT_ONCE):
-        block = slice(start, start + AT_ONCE)
-        cosines = np.abs(np.einsum("ij,jk->ik", some[block], columns))
-        shares[block] = np.count_nonzero(cosines > 1.0 - PARALLEL, axis=1) / len(directions)
+    some = np.ascontiguousarray(directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)])
+    counts = np.empty(len(some), dtype=np.int64)
+    count_parallel(some, np.ascontiguousarray(directions.T), 1.0 - PARALLEL, counts)
+    shares = counts / len(directions)
     main: list[Floats] = []
     for candidate in np.argsort(-shares, kind="stable"):
         if shares[candidate] < MIN_PARALLEL or len(main) == MAX_DIRECTIONS:

@@ -47,6 +47,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     take_survey,
 )
 from msal_cli.arrays import Floats, Longs
+from msal_cli.kernels.geometry import list_edge_lengths
 from msal_cli.kernels.quantiles import median, quantiles
 
 if TYPE_CHECKING:
@@ -465,11 +466,8 @@ def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
     """How often an edge has the length of another one, beyond chance, and how lengths spread."""
     starts, ring = mesh.topology.ring_start, mesh.topology.ring
     n = min(len(mesh.vertices), MAX_REPEATED_VERTICES)
-    ends = ring[: starts[n]].astype(np.int64)
-    begins = np.repeat(np.arange(n), np.diff(starts[: n + 1]))
-    once = begins < ends
-    vectors = mesh.vertices[ends[once]] - mesh.vertices[begins[once]]
-    lengths = np.sort(np.sqrt((vectors * vectors).sum(axis=1))) / edge
+    lengths = np.empty(starts[n])
+    lengths = np.sort(lengths[: list_edge_lengths(n, mesh.vertices, starts, ring, lengths)]) / edge
     if len(lengths) < 20:
         return [MISSING] * 6
     spread = quantiles(lengths, (0.05, 0.25, 0.5, 0.75, 0.95))
