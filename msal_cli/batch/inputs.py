@@ -370,9 +370,14 @@ def _is_below(folder: str, path: str) -> bool:
 
 
 def resolve(path: Path) -> Path:
-    """The absolute path with links followed, as far as the system can follow them."""
+    """The absolute path with links followed, as far as the system can follow them.
+
+    Raises UsageError for a path with a NUL character.
+    """
     try:
         return path.resolve()
+    except ValueError as error:
+        raise UsageError(f"{str(path)!r} cannot be opened: {error}", path=str(path)) from None
     except (OSError, RuntimeError):
         return Path.cwd() / path
 

@@ -204,7 +204,7 @@ AXES = ("x", "y", "z")
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
-_LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
+_LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*({UNIT_PATTERN})?\s*")
 
 
 @dataclass(frozen=True)
@@ -234,16 +234,21 @@ class Lock:
         return f"{self.name} {self.comparison} {self.value!r}"
 
 
+def _in_file_units(number: str, unit: str, file_unit: str | None, option: str) -> float:
+    """See ``in_file_units``; the error names the option."""
+    try:
+        return in_file_units(number, unit, file_unit)
+    except UsageError as error:
+        raise UsageError(f"{option} {error.message}", hint=error.hint) from None
+
+
 def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
     """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
     the option, for anything else."""
     match = _LENGTH.fullmatch(text)
     value = float(match[1]) if match else 0.0
     if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
-        try:
-            value = in_file_units(match[1], match[2], unit)
-        except UsageError as error:
-            raise UsageError(f"{option} {error.message}", hint=error.hint) from None
+        value = _in_file_units(match[1], match[2], unit, option)
     if match is None or not 0.0 < value < math.inf:
         raise UsageError(
             f"{option} {text}: this is no length above 0",
@@ -253,18 +258,20 @@ def parse_length(text: str, option: str = "--max-move", unit: str | None = None)
     return Length(value, match[2] == "e")
 
 
-def parse_lock(text: str, option: str = "--lock") -> Lock | None:
-    """``confidence < 0.2``; None for the word ``boundary``; UsageError, which names the option, for
-    anything else."""
+def parse_lock(text: str, option: str = "--lock", unit: str | None = None) -> Lock | None:
+    """``confidence < 0.2``, or ``z < 5mm`` where the files' ``unit`` is known; None for the word
+    ``boundary``; UsageError, which names the option, for anything else."""
     if text.strip() == BOUNDARY:
         return None
     match = _LOCK.fullmatch(text)
-    if match is None or not math.isfinite(float(match[3])):
+    is_length = match is not None and match[4] is not None
+    if match is None or not math.isfinite(float(match[3])) or (is_length and match[1] not in AXES):
         raise UsageError(
             f"{option} {text}: this is neither 'boundary' nor a property compared with a number",
             hint=f"as in {option} 'confidence < 0.2'; msal info lists a file's properties",
         )
-    return Lock(match[1], match[2], float(match[3]))
+    value = _in_file_units(match[3], match[4], unit, option) if is_length else float(match[3])
+    return Lock(match[1], match[2], value)
 
 
 # Settings from options and arguments
@@ -308,7 +315,7 @@ def _property(value: Any, label: str, unit: str | None) -> str:
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
-    return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))
+    return tuple(str(parse_lock(text, label, unit) or BOUNDARY) for text in to_texts(value))
 
 
 def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:

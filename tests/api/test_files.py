@@ -65,6 +65,7 @@ def test_a_file_that_fails_raises_and_writes_nothing(scans, tmp_path):
         {"output": "scans"},
         {"output": "scans/a.ply"},
         {"output": "out.doc"},
+        {"output": "a\0.ply"},
         {"precision": "float16"},
         {"fail_on": "volume >"},
         {"fail_on": "hausdorff > 1e"},

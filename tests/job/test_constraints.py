@@ -8,7 +8,7 @@ from msal_cli.codecs.conversion import convert
 from msal_cli.errors import UsageError
 from msal_cli.job import constraints
 from msal_cli.job.constraints import select_vertices
-from msal_cli.job.settings import parse_length, parse_lock
+from msal_cli.job.settings import Lock, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.files import denoise_bytes
@@ -67,7 +67,7 @@ def test_what_is_no_length_is_refused(text):
         parse_length(text, unit="m")
 
 
-@pytest.mark.parametrize("text", ["", "confidence <", "< 3", "a < b", "a < 1e999", "a=1"])
+@pytest.mark.parametrize("text", ["", "a <", "< 3", "a < b", "a < 1e999", "a=1", "a < 1mm"])
 def test_what_is_no_lock_is_refused(text):
     with pytest.raises(UsageError, match="neither"):
         parse_lock(text)
@@ -82,6 +82,7 @@ def test_comparisons(comparison, expected):
     selected = select_vertices(lock, np.array([1.0, 2.0, 3.0]))
     assert "".join(str(int(flag)) for flag in selected) == expected
     assert parse_lock(str(lock)) == lock
+    assert parse_lock(f"z {comparison} -.2cm", unit="mm") == Lock("z", comparison, -2.0)
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
