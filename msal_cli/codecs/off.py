@@ -70,8 +70,9 @@ def parse(data: Buffer) -> Layout:
     if wrong.any():
         where = words.where(int(first[int(np.argmax(wrong))]))
         raise damaged("a face has fewer corners than it says", where)
-    corners = words.integers(np.repeat(first + 1, sizes) + number_within(sizes))
-    require_indices(corners, n_vertices)
+    named = np.repeat(first + 1, sizes) + number_within(sizes)
+    corners = words.integers(named)
+    require_indices(corners, n_vertices, lambda corner: words.where(int(named[corner])))
     positions = words.float_rows(at, TextSlots)
     normals: tuple[TextSlots, ...] = ()
     if has_normals:

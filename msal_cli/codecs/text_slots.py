@@ -11,7 +11,7 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, AnyStr, NamedTuple, TypeVar
 
@@ -19,7 +19,15 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.slots import Change, Slots, is_same
-from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError, bad_index, cut_short, damaged
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InternalError,
+    bad_index,
+    cut_short,
+    damaged,
+    format_count,
+)
 from msal_cli.storage.regular import Buffer
 
 SHORTEST = 18
@@ -509,11 +517,13 @@ class Words:
 _NONE, _NO_BYTES = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
 
 
-def require_indices(indices: Longs, count: int) -> None:
-    """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1."""
+def require_indices(
+    indices: Longs, count: int, where: Callable[[int], str] = "corner {} of all faces".format
+) -> None:
+    """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1; ``where``
+    says where one is, by its number."""
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
-        raise bad_index(
-            f"a face names a vertex that is not among the {count:,}",
-            f"corner {int(np.argmax(wrong))} of all faces",
-        )
+        first = int(np.argmax(wrong))
+        message = f"a face names vertex {indices[first]} of {format_count(count, 'vertex')}"
+        raise bad_index(message, where(first))

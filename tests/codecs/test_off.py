@@ -104,7 +104,7 @@ DAMAGED = {
     "nan.off": (off().replace(b"1 0 0\n", b"nan 0 0\n"), "E_NONFINITE"),
     "coordinate.off": (off(points=[*POINTS[:3], "0 0 x"]), "E_FORMAT", "line 6"),
     "two corners.off": (off(faces=[*FACES[:3], "3 2 0"]), "E_FORMAT", "line 10"),
-    "corner.off": (off(faces=[*FACES[:3], "3 2 0 4"]), "E_INDEX"),
+    "corner.off": (off(faces=[*FACES[:3], "3 2 0 4"]), "E_INDEX", "line 10"),
     "fraction.off": (off(faces=[*FACES[:3], "3 2 0 1.5"]), "E_FORMAT", "line 10"),
     "a face more.off": (off("OFF\n4 5 0"), "E_TRUNCATED", "line 11"),
     "no normals.off": (off("NOFF\n4 4 0"), "E_FORMAT"),
