@@ -367,23 +367,37 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
     vertices move farther by ``MORE`` of ``base`` for each step of ``strength``.
 
     Both the mean and the root mean square count.  Of those that reach it, the one that departs
-    least from ``base``; if none does, the one that moves them farthest, and nothing of it where
-    that is not farther than ``base`` does.
+    least from ``base``.  If none does, the one that moves them farthest, by the weight with which
+    their mean is as far on the way to that; nothing of it where that is not farther than ``base``.
     """
-    target = (1.0 + MORE * strength) * _mean_and_rms(base)
-    found = []
-    for k, move in enumerate(moves):
-        for percent in range(1, 101):
-            change = 0.01 * percent * (move - base)
-            if (_mean_and_rms(base + change) >= target).all():
-                found.append((float(_mean_and_rms(change)[1]), k, 0.01 * percent))
-                break
+    least = _mean_and_rms(base)
+    target = (1.0 + MORE * strength) * least
+    weights = [_weight_to_reach(base, move, target) for move in moves]
+    found = [
+        (float(_mean_and_rms(weight * (move - base))[1]), k, weight)
+        for k, (move, weight) in enumerate(zip(moves, weights, strict=True))
+        if weight is not None
+    ]
     if found:
         _, k, weight = min(found)
         return k, weight
     means = [_mean_and_rms(move)[0] for move in moves]
     k = int(np.argmax(means))
-    return k, 0.5 * strength if means[k] > _mean_and_rms(base)[0] else 0.0
+    if means[k] <= least[0]:
+        return k, 0.0
+    # A mixture of two filters may move vertices less than either.
+    wanted = least[0] + 0.5 * strength * (means[k] - least[0])
+    return k, _weight_to_reach(base, moves[k], np.array([wanted, 0.0])) or 1.0
+
+
+def _weight_to_reach(base: Floats, move: Floats, target: Floats) -> float | None:
+    """The least weight of ``move``, a hundredth at least, with which vertices move as far as the
+    ``target``, mean and root mean square (2,); None if they never do."""
+    for percent in range(1, 101):
+        weight = 0.01 * percent
+        if (_mean_and_rms(base + weight * (move - base)) >= target).all():
+            return weight
+    return None
 
 
 def _mean_and_rms(moves: Floats) -> Floats:

@@ -115,11 +115,8 @@ def test_what_rounds_alike_is_settled_by_order_not_by_last_digits():
 def test_the_mixture_moves_farther_by_as_much_as_is_asked_for(strength):
     draw = np.random.default_rng(0)
     base = draw.normal(size=(500, 3))
-    near, far, less = (
-        base + 0.3 * draw.normal(size=(500, 3)),
-        3.0 * draw.normal(size=(500, 3)),
-        0.5 * base,
-    )
+    near, far = base + 0.3 * draw.normal(size=(500, 3)), 3.0 * draw.normal(size=(500, 3))
+    less = 0.5 * base
     k, weight = strengthen(base, [less, far, near], strength)
     assert k == 2 or strength > 1.0
     mixed = (1.0 - weight) * base + weight * [less, far, near][k]
@@ -132,3 +129,5 @@ def test_if_none_moves_far_enough_the_farthest_is_mixed_in_but_never_less_than_t
     base = np.ones((10, 3))
     assert strengthen(base, [0.2 * base, 1.01 * base], 2.0) == (1, 1.0)
     assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 0.0)
+    # Half of each would be |(0.5, 0.51, 0)| = 0.71.
+    assert strengthen(np.eye(3)[:1], [1.025 * np.eye(3)[1:2]], 1.0) == (0, 0.99)
