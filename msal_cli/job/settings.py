@@ -170,7 +170,7 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 """What a user may write between a quantity and a length or number."""
 
 
-def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
+def in_file_units(number: str, unit: str, file_unit: str | None, label: str = "") -> float:
     """A length in the unit of the file.
 
     Parameters
@@ -178,12 +178,14 @@ def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
     number : the length as it was written, so that 0.1 is a tenth and not the double next to it.
     unit : its unit, as in ``UNIT_PATTERN``.
     file_unit : the unit of the file's coordinates, one of ``METRES``.
+    label : what a message begins with.
 
     Raises UsageError if the file's unit is not known, or the length is too long for a double.
     """
     if file_unit is None:
         raise UsageError(
-            f"{number}{unit}: mesh files have no unit, so that it is not known how long that is",
+            f"{label}{number}{unit}: mesh files have no unit, so that it is not known how long "
+            "that is",
             hint="say with --unit what the unit of the files is, such as --unit mm, or write the "
             "length in file units (0.05) or mean edge lengths (0.3e)",
         )
@@ -196,7 +198,7 @@ def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
     try:
         return float(Fraction(number) * Fraction(*own) / Fraction(*other))
     except OverflowError:
-        raise UsageError(f"{number}{unit}: the length is too large") from None
+        raise UsageError(f"{label}{number}{unit}: the length is too large") from None
 
 
 BOUNDARY = "boundary"
@@ -234,21 +236,13 @@ class Lock:
         return f"{self.name} {self.comparison} {self.value!r}"
 
 
-def _in_file_units(number: str, unit: str, file_unit: str | None, option: str) -> float:
-    """See ``in_file_units``; the error names the option."""
-    try:
-        return in_file_units(number, unit, file_unit)
-    except UsageError as error:
-        raise UsageError(f"{option} {error.message}", hint=error.hint) from None
-
-
 def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
     """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
     the option, for anything else."""
     match = _LENGTH.fullmatch(text)
     value = float(match[1]) if match else 0.0
     if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
-        value = _in_file_units(match[1], match[2], unit, option)
+        value = in_file_units(match[1], match[2], unit, f"{option} ")
     if match is None or not 0.0 < value < math.inf:
         raise UsageError(
             f"{option} {text}: this is no length above 0",
@@ -270,7 +264,7 @@ def parse_lock(text: str, option: str = "--lock", unit: str | None = None) -> Lo
             f"{option} {text}: this is neither 'boundary' nor a property compared with a number",
             hint=f"as in {option} 'confidence < 0.2'; msal info lists a file's properties",
         )
-    value = _in_file_units(match[3], match[4], unit, option) if is_length else float(match[3])
+    value = in_file_units(match[3], match[4], unit, f"{option} ") if is_length else float(match[3])
     return Lock(match[1], match[2], value)
 
 

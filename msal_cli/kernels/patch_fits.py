@@ -105,8 +105,8 @@ def collect_near(i, normal, reach, vertices, normals, ring_start, ring, met, fou
         for place in range(ring_start[found[at]], ring_start[found[at] + 1]):
             k = ring[place]
             is_near = vec.square_distance(vec.load(vertices, k), vec.load(vertices, i)) < reach**2
-            faces = vec.dot(vec.load(normals, k), (normal[0], normal[1], normal[2])) > 0.0
-            if count < len(found) and not met[k] and is_near and faces:
+            is_facing = vec.dot(vec.load(normals, k), (normal[0], normal[1], normal[2])) > 0.0
+            if count < len(found) and not met[k] and is_near and is_facing:
                 found[count], met[k] = k, True
                 count += 1
         at += 1

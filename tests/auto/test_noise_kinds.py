@@ -81,6 +81,8 @@ def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
     choice = choose(mesh)
     assert choice.parameters["relax"] == 2
     assert choice.reason.endswith("after triangles were evened out")
+    # And one linear filter more is tried than on white noise.
+    assert choose is choose_auto or choice.tried == 3 + adaptive.MILD + 1
 
 
 @pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])

@@ -7,13 +7,18 @@ from msal_cli.kernels.geometry import (
     COMPARED,
     FLIPPED,
     LARGEST_ANGLE,
+    count_parallel,
     face_normals_and_areas,
+    is_any_near,
+    list_edge_lengths,
     normals_and_flat_faces,
     regroup_normals,
     surface_figures,
     vertex_normals,
 )
+from msal_cli.kernels.patch_fits import collect_near
 from msal_cli.mesh import prepare_mesh
+from tests.shapes import noisy, torus
 
 
 def test_area_weighting():
@@ -79,3 +84,24 @@ def test_faces_without_a_normal_before_or_after_have_no_angle():
     after[2] = [0.0, -1.0, 0.0]
     figures = surface_figures(before, after, faces)
     assert figures[COMPARED] == figures[FLIPPED] == 1
+
+
+def test_what_is_looked_for_around_vertices_is_what_numpy_finds():
+    vertices, faces = torus()
+    mesh = prepare_mesh(noisy(vertices, level=0.02), faces).mesh
+    x, normals, (starts, ring) = mesh.vertices, mesh.vertex_normals(), mesh.topology.one_ring
+    begins, lengths = np.repeat(np.arange(len(x)), np.diff(starts)), np.empty(starts[50])
+    count = list_edge_lengths(50, x, starts, ring, lengths)
+    expected = np.linalg.norm(x[ring] - x[begins], axis=1)[(begins < ring) & (begins < 50)]
+    assert np.allclose(lengths[:count], expected, rtol=1e-15)
+    counts, turned = np.empty(9, dtype=np.int64), np.ascontiguousarray(normals.T)
+    count_parallel(normals[:9].copy(), turned, 0.9, counts)
+    assert counts.tolist() == (np.abs(normals[:9] @ turned) > 0.9).sum(axis=1).tolist()
+    for near, is_there in ((0.01, False), (0.3, True)):
+        assert is_any_near(x[5] + 0.1, near, 1, x) == is_there
+        assert (np.abs(x - x[5] - 0.1) <= near).all(axis=1).any() == is_there
+    met, found = np.zeros(len(x), dtype=bool), np.empty(90, dtype=np.int64)
+    count = collect_near(5, normals[5], 1.5, x, normals, starts, ring, met, found)
+    is_near = (np.linalg.norm(x - x[5], axis=1) < 1.5) & (normals @ normals[5] > 0.0)
+    assert sorted(found[:count]) == np.flatnonzero(is_near).tolist() and not met.any()
+    assert collect_near(5, normals[5], 1.5, x, normals, starts, ring, met, found[:7]) == 7

@@ -7,21 +7,11 @@ import time
 import pytest
 
 _ARGUMENTS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-default-apps",
-    "--disable-extensions",
-    "--disable-sync",
-    "--no-first-run",
-    "--no-default-browser-check",
-    "--metrics-recording-only",
-    "--force-device-scale-factor=1",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    *("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--disable-dev-shm-usage"),
+    *("--enable-unsafe-swiftshader", "--disable-background-networking", "--disable-sync"),
+    *("--disable-component-update", "--disable-default-apps", "--disable-extensions"),
+    *("--no-first-run", "--no-default-browser-check", "--metrics-recording-only"),
+    *("--force-device-scale-factor=1", "--host-resolver-rules=MAP * ~NOTFOUND"),
 )
 
 
