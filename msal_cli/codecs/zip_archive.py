@@ -84,8 +84,11 @@ class Archive:
         disk, first_disk, here, count = struct.unpack_from("<4H", self._data, at + 4)
         if at == self._behind_entries and (disk or first_disk or here != count):
             raise errors.UnsupportedError("the archive is split into several files", hint=_REPACK)
-        if at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0] != len(self._data):
+        end = at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0]
+        if end > len(self._data):
             raise errors.cut_short("the comment of the archive is cut", f"byte {len(self._data)}")
+        if end < len(self._data):
+            raise errors.damaged("other bytes follow the end of the archive", f"byte {end}")
         return at
 
     def find(self, name: str) -> ZipInfo | None:
