@@ -7,6 +7,8 @@ is what the fit with the least leaves over at the flattest fifth of some thousan
 right for having looked there.  The survey looks at some hundred places over one to six rings.
 """
 
+from __future__ import annotations
+
 import functools
 import math
 from dataclasses import dataclass
@@ -252,16 +254,18 @@ class Fits:
     gaps: Floats
     ratios: Floats
 
-    def level(self, fit: int, share: float, among: Flags | None = None) -> float:
+    def level(self, fit: int, share: float) -> float:
         """Standard deviation by one fit at the flattest ``share`` of the places, file units;
         infinite where it has none."""
-        has = self.freedoms[:, fit] > 0
-        if among is not None:
-            has &= among
-        if not has.any():
-            return math.inf
-        scaled = self.variances[has, fit] / chi_square_table(share)[self.freedoms[has, fit]]
-        return math.sqrt(quantile(scaled, share))
+        freedoms = self.freedoms[:, fit]
+        scaled = self.variances[:, fit] / chi_square_table(share)[freedoms]
+        scaled = scaled[freedoms > 0]
+        return math.sqrt(quantile(scaled, share)) if len(scaled) else math.inf
+
+    def at(self, places: Flags) -> Fits:
+        """Those of some of the places."""
+        variances, freedoms = self.variances[places], self.freedoms[places]
+        return Fits(variances, freedoms, self.gaps[places], self.ratios[places])
 
 
 PLANE, NEAR, FAR, CUBIC = range(4)
@@ -375,16 +379,16 @@ def _measure_regions(
     # Few places of a region have no spike.
     share = 0.5 if is_impulsive else FLATTEST
 
-    def compared(among: Flags | None) -> float:
-        coarse = fits.level(FAR, share, among)
-        best = _least(math.inf, math.inf, coarse, fits.level(CUBIC, share, among))
+    def compared(fits: Fits) -> float:
+        coarse = fits.level(FAR, share)
+        best = _least(math.inf, math.inf, coarse, fits.level(CUBIC, share))
         return _without_texture(best, coarse)
 
-    everywhere = compared(None)
+    everywhere = compared(fits)
     levels = np.full(n_regions, level)
     if everywhere > 0.0:
         for region in range(n_regions):
             among = labels == region
             if among.sum() >= MIN_PLACES:
-                levels[region] = level * compared(among) / everywhere
+                levels[region] = level * compared(fits.at(among)) / everywhere
     return levels

@@ -51,6 +51,10 @@ part of the squared heights that the waves explain, from which shape repeats.  U
 kind on eleven models at most 0.83 of the places are alike where 0.85 is explained; white noise of
 0.1 mean edge lengths on threads and flutes of two leaves 0.9 explained."""
 
+MAX_GAIN = 2.0
+"""Of what a wave explains, the most that one after it does: they come in the order of their size,
+but for what the earlier ones hide."""
+
 TINY = 1e-4
 """Mean edge lengths, root mean square, below which heights say nothing."""
 
@@ -86,7 +90,7 @@ def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
         return False
     unlike = 0
     for place in places:
-        unlike += place.explain() < MIN_EXPLAINED
+        unlike += not place.is_explained()
         # Explaining takes longest, and of most meshes the first places are not.
         if 2 * unlike > len(places):
             return False
@@ -100,7 +104,7 @@ class Place:
     points: Floats32  # (k, 2) positions across the normal, mean edge lengths
     known: Floats32  # (k, c) the polynomials, orthogonal
     rest: Floats32  # (k,) heights without them, of length 1
-    grid: tuple[Floats32, Floats32]  # cosines and sines (k, w) of the waves of ``GRID``
+    grid: Waves  # of ``GRID``, without the polynomials
 
     @classmethod
     def look_at(cls, mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Place | None:
@@ -122,55 +126,72 @@ class Place:
         if size <= math.sqrt(len(around)) * TINY:
             return None
         points = np.stack([x, y], axis=1).astype(np.float32)
-        grid = _make_waves(points, GRID)
-        return cls(points, known.astype(np.float32), (rest / size).astype(np.float32), grid)
+        known = known.astype(np.float32)
+        grid = Waves.make(points, GRID).without(known)
+        return cls(points, known, (rest / size).astype(np.float32), grid)
 
     def find_length(self) -> float:
         """The length of the best wave, in steps."""
-        return float(GRID[int(_explained_parts(*self.grid, self.known, self.rest).argmax())][0])
+        return float(GRID[self.grid.find_best(self.rest)][0])
 
-    def explain(self) -> float:
-        """Which part of the squared heights the best ``WAVES`` explain."""
-        known, rest = self.known, self.rest
-        for _ in range(WAVES):
-            wave = GRID[int(_explained_parts(*self.grid, known, rest).argmax())]
+    def is_explained(self) -> bool:
+        """Whether the best ``WAVES`` explain enough of the squared heights."""
+        known, rest, grid = self.known, self.rest, self.grid
+        left = 1.0
+        for later in reversed(range(WAVES)):
+            wave = GRID[grid.find_best(rest)]
             for nearer in (0.5, 0.25):
                 tried = wave + np.float32(nearer) * AROUND
-                even, odd = _make_waves(self.points, tried)
-                best = int(_explained_parts(even, odd, known, rest).argmax())
+                waves = Waves.make(self.points, tried).without(known)
+                best = waves.find_best(rest)
                 wave = tried[best]
-            known, _ = np.linalg.qr(np.column_stack([known, even[:, best], odd[:, best]]))
-            rest = rest - known @ (known.T @ rest)
-        return 1.0 - float(rest @ rest)
+            pair = waves.rows[:, best].T
+            pair, _ = np.linalg.qr(pair - known @ (known.T @ pair))
+            grid, known = grid.without(pair), np.concatenate([known, pair], axis=1)
+            rest = rest - pair @ (pair.T @ rest)
+            before, left = left, float(rest @ rest)
+            if left - later * MAX_GAIN * (before - left) > 1.0 - MIN_EXPLAINED:
+                return False
+        return True
 
 
-def _make_waves(points: Floats32, waves: Floats32) -> tuple[Floats32, Floats32]:
-    """Cosine and sine (k, w) of ``waves`` (w, 2) at ``points`` (k, 2), mean edge lengths."""
-    turns = (np.pi / DIRECTIONS) * waves[:, 1]
-    numbers = 2.0 * math.pi / (SHORTEST * STEP ** waves[:, 0])
-    phases = points @ (np.stack([np.cos(turns), np.sin(turns)]) * numbers).astype(np.float32)
-    return np.cos(phases), np.sin(phases)
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Plane waves around a place, each as far as orthogonal columns (k, c) do not explain it."""
+
+    rows: Floats32  # (2, w, k) cosines and sines, whole
+    # squares, both: (2, w) squared lengths of the rests, and (w,) the products of the two
+    squares: Floats32
+    both: Floats32
+
+    @classmethod
+    def make(cls, points: Floats32, waves: Floats32) -> Waves:
+        """Those of ``waves`` (w, 2) at ``points`` (k, 2), mean edge lengths."""
+        turns = (np.pi / DIRECTIONS) * waves[:, 1]
+        numbers = 2.0 * math.pi / (SHORTEST * STEP ** waves[:, 0])
+        directions = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        phases = (numbers[:, None] * directions).astype(np.float32) @ points.T
+        rows = np.stack([np.cos(phases), np.sin(phases)])
+        return cls(rows, *_products(rows))
+
+    def without(self, known: Floats32) -> Waves:
+        """The rests beside orthogonal columns ``known`` (k, c), too."""
+        squares, both = _products(self.rows @ known)
+        return Waves(self.rows, self.squares - squares, self.both - both)
+
+    def find_best(self, rest: Floats32) -> int:
+        """The wave that explains most of the squared ``rest`` (k,), which has nothing of what was
+        left out."""
+        (even, odd), (even_square, odd_square) = self.rows @ rest, self.squares
+        size = even_square * odd_square - self.both * self.both
+        gained = even**2 * odd_square - 2.0 * even * odd * self.both + odd**2 * even_square
+        is_there = size > MIN_INDEPENDENT * len(rest) ** 2
+        return int(np.where(is_there, gained / np.where(is_there, size, 1.0), 0.0).argmax())
 
 
-def _explained_parts(even: Floats32, odd: Floats32, known: Floats32, rest: Floats32) -> Floats32:
-    """What each pair of columns of ``even`` and ``odd`` (k, w) explains (w,) of the squared
-    ``rest`` (k,) beside the orthogonal columns of ``known`` (k, c), which it has nothing of."""
-    known_even, known_odd = known.T @ even, known.T @ odd
-    even_square = _dots(even, even) - _dots(known_even, known_even)
-    odd_square = _dots(odd, odd) - _dots(known_odd, known_odd)
-    both = _dots(even, odd) - _dots(known_even, known_odd)
-    by_even, by_odd = rest @ even, rest @ odd
-    size = even_square * odd_square - both * both
-    gained = by_even**2 * odd_square - 2.0 * by_even * by_odd * both + by_odd**2 * even_square
-    is_there = size > MIN_INDEPENDENT * len(rest) ** 2
-    parts: Floats32 = np.where(is_there, gained / np.where(is_there, size, 1.0), 0.0)
-    return parts
-
-
-def _dots(a: Floats32, b: Floats32) -> Floats32:
-    """Products of columns."""
-    products: Floats32 = np.einsum("ij,ij->j", a, b)
-    return products
+def _products(rows: Floats32) -> tuple[Floats32, Floats32]:
+    """Of pairs of rows (2, w, k) the squared lengths (2, w), and the products (w,)."""
+    return np.einsum("ijk,ijk->ij", rows, rows), np.einsum("jk,jk->j", *rows)
 
 
 def are_mirrored(mesh: Mesh, vertices: Longs, least: float) -> bool:
