@@ -6,9 +6,10 @@ or ``Lines`` (ascii).  No section is made before all bytes that its counts promi
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
 from msal_cli.errors import FormatError, cut_short, format_count
+from msal_cli.kernels.parallel import at_once, is_worth_it, threads
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
@@ -193,24 +195,45 @@ def _read_scalars(part: Part, kept: tuple[str, ...]) -> Lines | None:
     values = np.empty((element.count, len(kept)))
     first_at = np.empty((len(together), element.count), dtype=np.int64)
     decimals = np.empty((len(together), element.count), dtype=np.uint8)
-    stop, n_unusual, status = read_scalars(
-        part.data,
-        part.start,
-        element.count,
-        np.array([kept.index(name) if name in kept else -1 for name in names]),
-        np.array([group_of.get(name, -1) for name in names]),
-        values,
-        first_at,
-        decimals,
-    )
-    if status != WHOLE or n_unusual > MAX_UNUSUAL:
+    columns = np.array([kept.index(name) if name in kept else -1 for name in names])
+    groups = np.array([group_of.get(name, -1) for name in names])
+
+    def read(at: int, start: int, stop: int) -> tuple[int, int, int]:
+        made = columns, groups, values, first_at, decimals
+        return cast(tuple[int, int, int], read_scalars(part.data, at, start, stop, *made))
+
+    pieces = _read_pieces(part, read) or [read(part.start, 0, element.count)]
+    n_unusual, stops, statuses = zip(*pieces, strict=True)
+    if statuses[-1] != WHOLE or sum(n_unusual) > MAX_UNUSUAL:
         return None
     statements = dict(zip(together, zip(first_at, decimals, strict=True), strict=True))
-    return Lines(**vars(part), stop=int(stop), kept=kept, scalars=values, statements=statements)
+    return Lines(**vars(part), stop=stops[-1], kept=kept, scalars=values, statements=statements)
+
+
+def _read_pieces(part: Part, read: Callable[[int, int, int], Any]) -> list[Any]:
+    """What ``read(at, start, stop)`` returns for pieces of the records that are read at once; none
+    where a piece is not whole, or its records are not a line each.
+
+    The last two numbers that it returns are the end of the records, and ``WHOLE``.
+    """
+    from msal_cli.kernels.ply_scan import WHOLE, next_record, skip_lines
+
+    count = part.element.count
+    if not is_worth_it(count):
+        return []
+    bounds = [count * piece // threads() for piece in range(threads() + 1)]
+    places = [int(next_record(part.data, part.start))]
+    for start, stop in itertools.pairwise(bounds[:-1]):
+        places.append(int(skip_lines(part.data, places[-1], stop - start)))
+    spans = zip(places, bounds, bounds[1:], strict=False)
+    pieces = at_once(count, *[functools.partial(read, *span) for span in spans])
+    ends = [next_record(part.data, piece[-2]) for piece in pieces[:-1]]
+    is_cut_well = ends == [next_record(part.data, at) for at in places[1:]]
+    return pieces if is_cut_well and all(piece[-1] == WHOLE for piece in pieces) else []
 
 
 def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
-    from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
+    from msal_cli.kernels.ply_scan import FULL, ODD, WHOLE, read_lists
 
     data, element = part.data, part.element
     if len(kept) > 1 or not all(prop.is_list for prop in element.find_all(kept)):
@@ -221,20 +244,27 @@ def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
     most = (len(data) - part.start) // 2 + 1
     items = np.empty(min(3 * element.count, most) if kept else 0, dtype=np.int32)
     lengths = np.empty(element.count if kept else 0, dtype=np.int32)
-    done, at, n_items = 0, part.start, 0
-    while True:
-        done, at, n_items, status = read_lists(
+
+    def read(at: int, start: int, stop: int) -> tuple[int, int, int, int]:
+        """As if all records before were triangles."""
+        of = is_list, which, items, 3 * start, lengths
+        return cast(tuple[int, int, int, int], read_lists(data, at, start, stop, *of))
+
+    pieces = _read_pieces(part, read)
+    are_triangles = all(n_items == 3 * stop for stop, n_items, _, _ in pieces)
+    done, n_items, at, status = pieces[-1] if pieces and are_triangles else (0, 0, part.start, FULL)
+    while status != WHOLE:
+        done, n_items, at, status = read_lists(
             data, at, done, element.count, is_list, which, items, n_items, lengths
         )
-        if status == WHOLE:
-            break
-        if status != FULL or len(items) >= most:
+        if status == ODD or (status == FULL and len(items) >= most):
             return None
-        # As many for each record to come as those so far have.
-        alike = (n_items // max(done, 1) + 1) * element.count
-        larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
-        larger[:n_items] = items[:n_items]
-        items = larger
+        if status == FULL:
+            # As many for each record to come as those so far have.
+            alike = (n_items // max(done, 1) + 1) * element.count
+            larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
+            larger[:n_items] = items[:n_items]
+            items = larger
     if len(lengths) and (lengths == lengths[0]).all():
         # One number instead of one for each record.
         lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)

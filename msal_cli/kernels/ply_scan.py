@@ -82,11 +82,20 @@ def walk_binary(data, at, count, sizes, count_sizes, signed, big_endian, columns
 
 
 @compiled
-def _next_record(data, at):
+def next_record(data, at):
     """The first token of the next line that has one."""
     at = skip_blanks(data, at)
     while at < len(data) and is_line_end(data, at):
         at = skip_blanks(data, at + 1)
+    return at
+
+
+@compiled
+def skip_lines(data, at, count):
+    """The byte behind the next ``count`` line feeds."""
+    while count > 0 and at < len(data):
+        count -= data[at] == 10
+        at += 1
     return at
 
 
@@ -101,7 +110,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
     end = len(data)
     n_properties = len(is_list)
     for record in range(count):
-        at = _next_record(data, at)
+        at = next_record(data, at)
         if at == end:
             return record, at, CUT
         for p in range(n_properties):
@@ -147,8 +156,8 @@ def _short_number(data, at):
 
 
 @compiled
-def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
-    """Read ``count`` ascii records of scalars that begin at byte ``at``, one to a line.
+def read_scalars(data, at, start, stop, columns, groups, values, first_at, decimals):
+    """Read the ascii records ``start`` to ``stop`` of scalars from byte ``at`` on, one to a line.
 
     Parameters
     ----------
@@ -158,12 +167,12 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
     first_at, decimals (G, count) : receive, for each group, where its first token is and the
         most decimals of its numbers.
 
-    Returns the end of the last record, the records with a number that is not plain, and WHOLE; or
-    ODD where a record is none, or has a number that must be read in another way.
+    Returns the records with a number that is not plain, the end of the last one, and WHOLE; or ODD
+    where a record is none, or has a number that must be read in another way.
     """
     n_unusual = 0
-    for record in range(count):
-        at = _next_record(data, at)
+    for record in range(start, stop):
+        at = next_record(data, at)
         last_group = -1
         is_unusual = False
         for p in range(len(columns)):
@@ -177,7 +186,7 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
                     is_unusual = True
                     value, status, at, used = read_number(data, begin, len(data))
                     if status != EXACT or not np.isfinite(value) or not is_token_end(data, at):
-                        return at, n_unusual, ODD
+                        return n_unusual, at, ODD
                     used = min(used, 255)
                 values[record, columns[p]] = value
                 group = groups[p]
@@ -189,43 +198,43 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
                         decimals[group, record] = used
                 last_group = group
             if at == begin:
-                return at, n_unusual, ODD
+                return n_unusual, at, ODD
         n_unusual += is_unusual
         if not is_line_end(data, skip_blanks(data, at)):
-            return at, n_unusual, ODD
-    return at, n_unusual, WHOLE
+            return n_unusual, at, ODD
+    return n_unusual, at, WHOLE
 
 
 @compiled
-def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths):
-    """Read the list that is property ``wanted`` of records from byte ``at`` on.
+def read_lists(data, at, start, stop, is_list, wanted, items, n_items, lengths):
+    """Read the list that is property ``wanted`` of records ``start`` to ``stop`` from byte ``at``.
 
     is_list (P,) : which properties are lists; all but the wanted one are passed over.
     items (k,) int32 : receives the items, from ``n_items`` on; lengths (count,) int32 : how many
         each record has.
 
-    Returns the records read, the end of the last one, the number of items, and WHOLE, ODD or FULL.
+    Returns the records read, the number of items, the end of the last one, and WHOLE, ODD or FULL.
     """
-    for record in range(start, count):
-        stop = at
+    for record in range(start, stop):
+        last = at
         first_item = n_items
-        at = _next_record(data, at)
+        at = next_record(data, at)
         for p in range(len(is_list)):
             length = 0
             if is_list[p]:
                 at = skip_blanks(data, at)
                 length, digits = _short_number(data, at)
                 if digits == 0:
-                    return record, stop, first_item, ODD
+                    return record, first_item, last, ODD
                 at += digits
             if is_list[p] and p == wanted:
                 if length > len(items) - n_items:
-                    return record, stop, first_item, FULL
+                    return record, first_item, last, FULL
                 for k in range(n_items, n_items + length):
                     at = skip_blanks(data, at)
                     value, digits = _short_number(data, at)
                     if digits == 0:
-                        return record, stop, first_item, ODD
+                        return record, first_item, last, ODD
                     items[k] = value
                     at += digits
                 n_items += length
@@ -235,10 +244,10 @@ def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths)
                     begin = skip_blanks(data, at)
                     at = skip_token(data, begin)
                     if at == begin:
-                        return record, stop, first_item, ODD
+                        return record, first_item, last, ODD
         if not is_line_end(data, skip_blanks(data, at)):
-            return record, stop, first_item, ODD
-    return count, at, n_items, WHOLE
+            return record, first_item, last, ODD
+    return stop, n_items, at, WHOLE
 
 
 @compiled

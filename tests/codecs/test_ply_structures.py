@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from msal_cli.codecs import ply, ply_body
 from msal_cli.errors import InputError, MsalError
+from msal_cli.kernels import parallel
 from tests.codecs import plain_ply
 from tests.codecs.patching import any_float, any_integer, rewritten
 from tests.codecs.plain_ply import FLOATS, PACK, Element, Ply, single
@@ -247,6 +248,9 @@ def test_both_walks_read_and_write_the_same(file, random, noise):
     data, seed = head + end + body[:at] + noise + body[at + len(noise) :], len(body)
     plain = outcome(data, seed)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MSAL_THREADS", "3")
+        patch.setattr(parallel, "MIN_COUNT", 1)
+        assert plain == outcome(data, seed)
         patch.setattr(ply_body, "_plain_lines", lambda *_: None)
         assert plain == outcome(data, seed)
 
