@@ -28,7 +28,7 @@ from xml.etree import ElementTree as Xml
 from msal_cli.job.display_names import escape_for_display, shorten_name
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report import facts
-from msal_cli.report.data import Run, Totals, plain, totals
+from msal_cli.report.data import Run, plain, totals
 
 MAX_BYTES = 900_000
 """Bytes of the largest report: below the 1 MiB that the summary of a step may have."""
@@ -55,8 +55,18 @@ def render_markdown(run: Run, records: Sequence[MeshRecord]) -> bytes:
     sums = totals(records)
     is_bad = sums.failed or sums.gate_broken
     sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
-    top = f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n{_totals(run, records, sums)}"
-    end = _settings(run)
+    top = f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n"
+    figures = [(fact.word, fact.text) for fact in facts.total_facts(records, sums)]
+    figures += [("denoised", speed)] if (speed := facts.speed_text(run, sums)) else []
+    lines = "".join(f"| {word} | {_text(text)} |\n" for word, text in figures)
+    top += f"| | |\n|---|---|\n{lines}\n" if lines else ""
+    notes = [_text(f"msal {run.version}, {run.started} to {run.finished}")]
+    command = facts.command_text(run.command, _MAX_COMMAND)
+    notes += [f"Command: {_code(command)}"] if command else []
+    settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
+    notes += [f"Settings: {_code(settings[:_MAX_COMMAND])}"] if run.settings else []
+    inside = "\n\n".join(notes)
+    end = f"<details><summary>Command and settings</summary>\n\n{inside}\n\n</details>\n"
     left = MAX_BYTES - len((top + end).encode())
     worst = facts.worst_first(records)
     for title, heads, rows in facts.problem_tables(worst):
@@ -69,23 +79,6 @@ def render_markdown(run: Run, records: Sequence[MeshRecord]) -> bytes:
         left -= len(section.encode())
         top += section
     return (top + _file_section(worst, left // 2) + end).encode()
-
-
-def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    rows = [(fact.word, fact.text) for fact in facts.total_facts(records, sums)]
-    rows += [("denoised", speed)] if (speed := facts.speed_text(run, sums)) else []
-    lines = "".join(f"| {word} | {_text(text)} |\n" for word, text in rows)
-    return f"| | |\n|---|---|\n{lines}\n" if lines else ""
-
-
-def _settings(run: Run) -> str:
-    command = facts.command_text(run.command, _MAX_COMMAND)
-    lines = [_text(f"msal {run.version}, {run.started} to {run.finished}")]
-    lines += [f"Command: {_code(command)}"] if command else []
-    settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
-    lines += [f"Settings: {_code(settings[:_MAX_COMMAND])}"] if run.settings else []
-    inside = "\n\n".join(lines)
-    return f"<details><summary>Command and settings</summary>\n\n{inside}\n\n</details>\n"
 
 
 def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
@@ -161,6 +154,9 @@ def _markup_free(text: str) -> str:
 
 # Annotations
 
+_IN_MESSAGE = str.maketrans({"%": "%25", "\r": "%0D", "\n": "%0A"})
+_IN_PROPERTY = _IN_MESSAGE | str.maketrans({":": "%3A", ",": "%2C"})
+
 
 def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
     """The commands for the worst files that failed or broke a gate.
@@ -170,36 +166,24 @@ def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[st
     """
     commands = []
     for record in facts.worst_first(records):
-        if texts := facts.problem_texts(record):
-            n_gates = len(texts) - 1
-            title = "broken gate" if n_gates == 1 else f"{n_gates} broken gates"
-            title = "failed" if record.error is not None else title
-            properties = _properties(record.input, folder, f"msal: {title}")
-            message = _message("\n".join(texts))
-            commands.append(f"::error {properties}::{message}")
+        if not (texts := facts.problem_texts(record)):
+            continue
+        n_gates, name = len(texts) - 1, record.input
+        title = "broken gate" if n_gates == 1 else f"{n_gates} broken gates"
+        title = "failed" if record.error is not None else title
+        properties = f"title={f'msal: {title}'.translate(_IN_PROPERTY)}"
+        if name != "-" and "://" not in name:
+            if folder and not name.startswith("/"):
+                name = f"{folder.rstrip('/')}/{name}"
+            # Marks that a terminal obeys are escaped: better a name that leads nowhere.
+            name = escape_for_display(name).translate(_IN_PROPERTY)
+            properties = f"file={name},{properties}"
+        message = "\n".join(texts).translate(_IN_MESSAGE)
+        commands.append(f"::error {properties}::{message}")
     return commands[:MAX_ANNOTATIONS]
 
 
-def _properties(name: str, folder: str, title: str) -> str:
-    properties = f"title={_property(title)}"
-    if name == "-" or "://" in name:
-        return properties
-    if folder and not name.startswith("/"):
-        name = f"{folder.rstrip('/')}/{name}"
-    # Marks that a terminal obeys are escaped: better a name that leads nowhere.
-    return f"file={_property(escape_for_display(name))},{properties}"
-
-
-def _message(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    return _message(text).replace(":", "%3A").replace(",", "%2C")
-
-
 # JUnit
-
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
 _NO_CHARACTERS = re.compile("[\ud800-\udfff\ufffe\uffff]")
@@ -212,7 +196,8 @@ def render_junit(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records as JUnit XML in UTF-8; folders in the order in which the inputs name them."""
     folders: dict[str, list[MeshRecord]] = {}
     for record in records:
-        folders.setdefault(_folder(record.input), []).append(record)
+        folder = escape_for_display(os.path.dirname(record.input)) or _TOP
+        folders.setdefault(_STREAM if record.input == "-" else folder, []).append(record)
     root = Xml.Element("testsuites")
     for at, (folder, inside) in enumerate(folders.items()):
         root.append(_suite(run, at, folder, inside))
@@ -276,10 +261,6 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
     if why:
         case[0].text = _characters(why)
     return case
-
-
-def _folder(name: str) -> str:
-    return _STREAM if name == "-" else escape_for_display(os.path.dirname(name)) or _TOP
 
 
 def _name(record: MeshRecord) -> str:

@@ -8,7 +8,7 @@ what is larger still is a broken gate, as if one had been given for each file.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from msal_cli.errors import FormatError, format_count
+from msal_cli.errors import format_count
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import (
     SCHEMA,
@@ -19,7 +19,7 @@ from msal_cli.job.records import (
     value_at,
 )
 from msal_cli.report import facts
-from msal_cli.report.data import parse_json, read_json, read_record
+from msal_cli.report.data import BASELINE, not_a, parse_json, read_json, read_record
 from msal_cli.report.facts import Fact, Line, file_name
 from msal_cli.report.text import table_lines
 
@@ -150,7 +150,7 @@ def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Ref
     ``data`` is what ``msal compare --json`` printed, or a report of ``msal denoise --reference``;
     FormatError, with ``name``, if it is neither.
     """
-    content = parse_json(data, name, _not_a_baseline)
+    content = parse_json(data, name, BASELINE)
     schema = content.get("schema") if isinstance(content, dict) else None
     found: dict[str, ComparisonRecord | Reference] = {}
     if schema == SCHEMA:
@@ -159,28 +159,19 @@ def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Ref
             if record.output is not None and reference is not None and reference.error is None:
                 found[record.output] = reference
         if not found:
-            raise _not_a_baseline(name, "no file in it was measured against a reference")
+            raise not_a(BASELINE, name, "no file in it was measured against a reference")
         return found
     if schema != ComparisonRecord.schema:
         wanted = ComparisonRecord.schema
-        raise _not_a_baseline(name, f"missing or unsupported schema (expected {wanted})")
+        raise not_a(BASELINE, name, f"missing or unsupported schema (expected {wanted})")
     rows = content.get("records", [content])
     if not isinstance(rows, list):
-        raise _not_a_baseline(name, "it has no list of records")
+        raise not_a(BASELINE, name, "it has no list of records")
     for at, row in enumerate(rows, 1):
-        pair = read_record(ComparisonRecord, row, name, f"record {at}", _not_a_baseline)
+        pair = read_record(ComparisonRecord, row, name, f"record {at}", BASELINE)
         if pair.error is None:
             found[pair.after] = pair
     return found
-
-
-def _not_a_baseline(name: str, reason: str, where: str = "") -> FormatError:
-    return FormatError(
-        f"this is no baseline: {reason}",
-        where=where,
-        hint="keep what msal compare --json prints, or a report of msal denoise --reference",
-        path=name,
-    )
 
 
 def find_partner(name: str, earlier: Mapping[str, Any]) -> Any | None:

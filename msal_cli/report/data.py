@@ -12,16 +12,17 @@ gives the text back.
 """
 
 import dataclasses
+import functools
 import json
 import types
 import typing
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from msal_cli.errors import FormatError
-from msal_cli.job.display_names import portable, restore_name
+from msal_cli.job.display_names import figure, portable, restore_name
 from msal_cli.job.records import (
     DONE,
     SCHEMA,
@@ -34,8 +35,12 @@ from msal_cli.job.records import (
     value_at,
 )
 
-Refusal = Callable[..., FormatError]
-"""Makes an error of a file's name, a reason, and a place in the file."""
+REPORT, BASELINE = "report of msal denoise", "baseline"
+_HINTS = {
+    REPORT: "name an output folder, a manifest in it, or a report in .json or .jsonl",
+    BASELINE: "keep what msal compare --json prints, or a report of msal denoise --reference",
+}
+"""What a file with records is read as, and what to do where it is none."""
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
 _FREE_FORM = ("method.parameters", "choice.wishes")
@@ -181,8 +186,9 @@ def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
     if not records:
         return empty
     end = b"[]\n}\n"
+    # Line breaks within strings are escaped, so that those in the text are all of the layout.
     inner = b",\n    ".join(
-        _indented(plain(record)).replace("\n", "\n    ").encode() for record in records
+        json_bytes(plain(record))[:-1].replace(b"\n", b"\n    ") for record in records
     )
     return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
 
@@ -197,23 +203,18 @@ def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 def json_bytes(data: Any) -> bytes:
     """Plain data as strict, indented JSON in UTF-8, with a line end."""
-    return _indented(data).encode() + b"\n"
-
-
-def _indented(data: Any) -> str:
-    # Line breaks within strings are escaped, so that those in the text are all of the layout.
-    return json.dumps(data, ensure_ascii=False, allow_nan=False, indent=2)
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, indent=2).encode() + b"\n"
 
 
 def read_json(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
     """The run and the records of a JSON report; FormatError, with ``name``, if it is none."""
-    content = parse_json(data, name, _not_a_report)
+    content = parse_json(data, name, REPORT)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise _not_a_report(name, f"missing or unsupported schema (expected {SCHEMA})")
-    run: Run = read_record(Run, content, name, "", _not_a_report)
+        raise not_a(REPORT, name, f"missing or unsupported schema (expected {SCHEMA})")
+    run: Run = read_record(Run, content, name, "", REPORT)
     records = content.get("records")
     if not isinstance(records, list):
-        raise _not_a_report(name, "it has no list of records")
+        raise not_a(REPORT, name, "it has no list of records")
     return run, [_read_mesh_record(row, name, f"record {at}") for at, row in enumerate(records, 1)]
 
 
@@ -221,31 +222,31 @@ def read_lines(data: bytes, name: str) -> list[MeshRecord]:
     """The records of a JSON Lines report; the errors are those of ``read_json``."""
     places = ((f"line {at}", line) for at, line in enumerate(data.split(b"\n"), 1) if line.strip())
     return [
-        _read_mesh_record(parse_json(line, name, _not_a_report, where), name, where)
+        _read_mesh_record(parse_json(line, name, REPORT, where), name, where)
         for where, line in places
     ]
 
 
-def parse_json(data: bytes, name: str, refuse: Refusal, where: str = "") -> Any:
+def parse_json(data: bytes, name: str, what: str, where: str = "") -> Any:
     """JSON, with the bytes in names that JSON cannot hold."""
     try:
         return _restore_names(json.loads(data))
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
-        raise refuse(name, f"it is not JSON: {reason}", where) from None
+        raise not_a(what, name, f"it is not JSON: {reason}", where) from None
 
 
-def read_record(kind: type[Any], data: Any, name: str, where: str, refuse: Refusal) -> Any:
+def read_record(kind: type[Any], data: Any, name: str, where: str, what: str) -> Any:
     try:
         return from_data(kind, data)
     except TypeError as error:
-        raise refuse(name, str(error), where) from None
+        raise not_a(what, name, str(error), where) from None
 
 
 def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
-    record: MeshRecord = read_record(MeshRecord, data, name, where, _not_a_report)
+    record: MeshRecord = read_record(MeshRecord, data, name, where, REPORT)
     if record.schema != SCHEMA or (record.status == "failed") != (record.error is not None):
-        raise _not_a_report(name, "it is no record of what became of a file", where)
+        raise not_a(REPORT, name, "it is no record of what became of a file", where)
     return record
 
 
@@ -259,13 +260,9 @@ def _restore_names(value: Any) -> Any:
     return value
 
 
-def _not_a_report(name: str, reason: str, where: str = "") -> FormatError:
-    return FormatError(
-        f"this is no report of msal denoise: {reason}",
-        where=where,
-        hint="name an output folder, a manifest in it, or a report in .json or .jsonl",
-        path=name,
-    )
+def not_a(what: str, name: str, reason: str, where: str = "") -> FormatError:
+    """The error for a file that is no ``REPORT`` or ``BASELINE``."""
+    return FormatError(f"this is no {what}: {reason}", where=where, hint=_HINTS[what], path=name)
 
 
 # CSV
@@ -280,20 +277,18 @@ def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False
     import io
 
     rows = [dict(flatten(plain(record))) for record in records]
-    names = tuple(_all_columns(rows)) if has_all else COMMON_COLUMNS
+    names = list(COMMON_COLUMNS)
+    if has_all:
+        keys = {key for row in rows for key in row}
+        free = {
+            name: sorted(key for key in keys if key.startswith(f"{name}.")) for name in _FREE_FORM
+        }
+        names = [key for name, _ in leaf_fields(MeshRecord) for key in free.get(name, [name])]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
     writer.writerow(names)
     writer.writerows([_cell(row.get(name)) for name in names] for row in rows)
     return text.getvalue().encode()
-
-
-def _all_columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    for name, _ in leaf_fields(MeshRecord):
-        if name in _FREE_FORM:
-            yield from sorted({key for row in rows for key in row if key.startswith(f"{name}.")})
-        else:
-            yield name
 
 
 def leaf_fields(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, tuple[Any, ...]]]:
@@ -335,14 +330,11 @@ def _item_text(value: Any) -> str:
     ``AL, 3 sweeps (0.0724)`` with its risk, ``noise 0.08 (0.6)`` with level and probability."""
     if not isinstance(value, dict):
         return str(value)
+    number = functools.partial(figure, form=".4g", unknown="?")
     if "label" in value:
-        return f"{value['label']} ({_number_text(value['risk_edges'])})"
+        return f"{value['label']} ({number(value['risk_edges'])})"
     if "probability" in value:
-        level, probability = map(_number_text, (value["level_edges"], value["probability"]))
+        level, probability = map(number, (value["level_edges"], value["probability"]))
         return f"{value['kind']} {level} ({probability})"
     word = "broken" if value["broken"] else "held"
     return f"{word}: {value['expression']} ({value['reason']})"
-
-
-def _number_text(value: float | None) -> str:
-    return "?" if value is None else f"{value:.4g}"

@@ -13,7 +13,6 @@ What comes from outside, names of files mostly, is escaped in two places: ``esca
 """
 
 import hashlib
-import html
 import json
 import logging
 import math
@@ -200,8 +199,8 @@ def _problems(worst: Sequence[MeshRecord]) -> str:
     for title, heads, rows in facts.problem_tables(worst):
         cells = "".join(f'<th scope="col">{head.capitalize()}</th>' for head in ("file", *heads))
         lines = "".join(
-            f"<tr><th scope=row>{_name(record)}</th><td>{'</td><td>'.join(map(escape, texts))}"
-            "</td></tr>"
+            f"<tr><th scope=row>{escape(facts.file_name(record.input))}</th>"
+            f"<td>{'</td><td>'.join(map(escape, texts))}</td></tr>"
             for record, texts in rows[:_MAX_PROBLEMS]
         )
         n_left = len(rows) - _MAX_PROBLEMS
@@ -227,8 +226,8 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
             if fact.word == "moved" or (fact.word == "gate" and fact.tone == "bad")
         )
         cards.append(
-            f'<article class="card"><h3>{_name(record)}</h3><p class="note">{escape(caption)}</p>'
-            f"{elements}</article>"
+            f'<article class="card"><h3>{escape(facts.file_name(record.input))}</h3>'
+            f'<p class="note">{escape(caption)}</p>{elements}</article>'
         )
     return f'<section><h2>{title}</h2><div class="cards">{"".join(cards)}</div></section>'
 
@@ -252,10 +251,6 @@ def _settings(run: Run) -> str:
 
 def _count_text(number: float) -> str:
     return f"{number:,.0f}" if number < 1e7 else f"{number / 1e6:,.1f} M"
-
-
-def _name(record: MeshRecord) -> str:
-    return html.escape(facts.file_name(record.input))
 
 
 def _json(data: Any) -> str:

@@ -64,9 +64,17 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            parts = [f"{file_name(record.input)} -> {_output_name(record)}"]
-            parts += [] if record.planned is None else [_planned_text(record.planned)]
-            yield Line(": ".join(filter(None, parts)))
+            planned, cost = record.planned or Planned(), []
+            if planned.bytes is not None:
+                cost.append(f"{planned.bytes / 1e3:,.1f} kB")
+            cost.append(format_count(planned.vertices, "vertex"))
+            if planned.seconds is not None:
+                cost.append(f"about {facts.seconds_text(planned.seconds)}")
+            if planned.scratch_bytes is not None and planned.memory_bytes is not None:
+                memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
+                cost.append(f"with {memory} of memory and {scratch} of scratch space")
+            arrow = f"{file_name(record.input)} -> {_output_name(record)}"
+            yield Line(": ".join(filter(None, (arrow, ", ".join(filter(None, cost))))))
             if (part := record.tile_set) is not None:
                 shared = format_count(part.shared_vertices, "vertex")
                 touches = f"{', '.join(part.neighbours)}: {shared}"
@@ -92,18 +100,6 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     n_current = sum(record.status == "up-to-date" for record in records)
     parts += [f"{n_current:,} up to date"] if n_current else []
     return Line(", ".join(parts))
-
-
-def _planned_text(planned: Planned) -> str:
-    parts = [
-        "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
-        format_count(planned.vertices, "vertex"),
-        "" if planned.seconds is None else f"about {facts.seconds_text(planned.seconds)}",
-    ]
-    if planned.scratch_bytes is not None and planned.memory_bytes is not None:
-        memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
-        parts.append(f"with {memory} of memory and {scratch} of scratch space")
-    return ", ".join(filter(None, parts))
 
 
 def file_text(record: MeshRecord) -> str:
@@ -258,10 +254,6 @@ def describe_info(record: InfoRecord) -> list[Line]:
     name = file_name(record.input)
     if record.error is not None:
         return facts.failure_lines(name, record.error)
-    return [Line(name, "good"), *facts.fact_lines(_info_facts(record), 15)]
-
-
-def _info_facts(record: InfoRecord) -> Iterator[Fact]:
     storage = (
         *(record.format, record.encoding, record.precision, "gzip" if record.compressed else ""),
         figure(record.bytes, ",", " bytes"),
@@ -277,7 +269,7 @@ def _info_facts(record: InfoRecord) -> Iterator[Fact]:
     noise = record.noise_estimate
     level, *details = [""] if noise is None else facts.noise_texts(noise, record)
     pairs = ("pair of faces", "pairs of faces")
-    for word, text in (
+    rows = (
         ("format", ", ".join(filter(None, storage))),
         ("vertices", figure(record.vertices, ",")),
         ("corners", figure(record.corners, ",")),
@@ -298,10 +290,10 @@ def _info_facts(record: InfoRecord) -> Iterator[Fact]:
         *(("", text) for text in details),
         ("carried along", ", ".join(record.properties) or "nothing else"),
         ("refers to", ", ".join(record.references)),
-    ):
-        if text:
-            yield Fact(word, text)
-    yield from (Fact("warning", text, "bad") for text in record.warnings)
+    )
+    found = [Fact(word, text) for word, text in rows if text]
+    found += [Fact("warning", text, "bad") for text in record.warnings]
+    return [Line(name, "good"), *facts.fact_lines(found, 15)]
 
 
 class InfoTable:
