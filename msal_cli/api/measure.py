@@ -14,7 +14,7 @@ from msal_cli.api.mesh_objects import as_array, explained_errors, read_mesh
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
-from msal_cli.job.comparison import compare_meshes, measure_files, open_surface
+from msal_cli.job.comparison import compare_meshes, measure_files, open_mesh_file, surface_of
 from msal_cli.job.records import ComparisonRecord, NoiseEstimate
 from msal_cli.job.room import prepare_mesh
 from msal_cli.job.settings import NoiseKind, to_number
@@ -59,7 +59,7 @@ def _is_path(given: Any) -> bool:
 def _read(given: Any) -> tuple[Surface, str]:
     """The surface of an argument, and what records call it."""
     if _is_path(given):
-        return open_surface(os.fsdecode(given)), os.fsdecode(given)
+        return surface_of(open_mesh_file(os.fsdecode(given))), os.fsdecode(given)
     is_pair = isinstance(given, tuple | list) and len(given) == 2
     mesh = read_mesh(*given) if is_pair else read_mesh(given)
     return Surface(mesh.vertices, np.asarray(mesh.faces)), mesh.name

@@ -71,7 +71,7 @@ def command(request: Request) -> int:
     from msal_cli import methods
     from msal_cli.auto.risk import estimate_errors
     from msal_cli.cli.report_files import refuse_target
-    from msal_cli.job.comparison import open_mesh_file, open_surface, surface_of
+    from msal_cli.job.comparison import open_mesh_file, surface_of
     from msal_cli.job.output import write_output
     from msal_cli.job.room import room_for_files
     from msal_cli.view import pictures, sweep
@@ -98,7 +98,7 @@ def command(request: Request) -> int:
     filters = []
     with room_for_files(names, format, output, Settings(AUTO, format=format)):
         mesh_file = open_mesh_file(source, format)
-        truth = None if reference is None else open_surface(reference, format)
+        truth = None if reference is None else surface_of(open_mesh_file(reference, format))
         on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
         for cell, mesh, filter in chain(sweep.cells(on, grid), sweep.choice_cells(on, mesh_file)):
             done.append((cell, pictures.panel(mesh, on.camera, view)))

@@ -34,6 +34,12 @@ _OF_LEVEL = ("mean_edges", "file_units", "rms_edges", "tail", "regions")
 _OF_CHARACTER = ("kind", "rings", "direction", "axis", "outliers", "confidence", "basis", "words")
 """Fields of the record that have the names of the estimate's."""
 
+_DEFECTS = (
+    *("components", "boundary_edges", "non_manifold_edges", "inconsistent_edges"),
+    *("degenerate_faces", "duplicate_faces", "unreferenced_vertices"),
+)
+"""Fields of the record that have the names of the defects'."""
+
 _DAMAGE_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
 
 
@@ -49,16 +55,7 @@ class Measured:
 def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
     """Fields of the record: the defects; ``n_merged`` vertices were merged when the file was
     read."""
-    names = (
-        "components",
-        "boundary_edges",
-        "non_manifold_edges",
-        "inconsistent_edges",
-        "degenerate_faces",
-        "duplicate_faces",
-        "unreferenced_vertices",
-    )
-    return {name: getattr(ready.defects, name) for name in names} | {
+    return {name: getattr(ready.defects, name) for name in _DEFECTS} | {
         "welded_vertices": ready.defects.welded_vertices + n_merged,
         "mean_edge_length": ready.mesh.mean_edge_length,
     }
@@ -134,24 +131,19 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
     noise does not explain.  ``is_named`` is whether the user named the method, or none ran, rather
     than a choice.
     """
-    from msal_cli.analysis.measures import (
-        NAMED_LEEWAY,
-        displacement,
-        enclosure_of,
-        excessive_change,
-        harmful_change,
-        measure_surface_change,
-    )
+    from msal_cli.analysis import measures
 
     before, after = ready.mesh, ready.mesh.with_vertices(moved)
-    statistics = displacement(before, after)
-    surface = measure_surface_change(before, after)
+    statistics = measures.displacement(before, after)
+    surface = measures.measure_surface_change(before, after)
     objection = ready.defects.volume_objection
-    enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
+    enclosed = measures.enclosure_of(
+        before, ready.defects, surface.area_before, surface.volume_before
+    )
     surface = enclosed.change(before, after, surface)
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
     known = noise_field(given)
-    harm = harmful_change(before, after, surface, has_volume=not objection)
+    harm = measures.harmful_change(before, after, surface, has_volume=not objection)
     if harm is None:
         level = max(known.high_edges or 0.0, known.rms_edges or 0.0, known.mean_edges)
         if known.step_edges:
@@ -159,16 +151,16 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
             level = known.mean_edges
         ways, change = statistics, surface
         if given.vertices is not before.vertices:
-            ways = displacement(given, after)
-            change = enclosed.change(given, after, measure_surface_change(given, after))
+            ways = measures.displacement(given, after)
+            change = enclosed.change(given, after, measures.measure_surface_change(given, after))
         edge = before.mean_edge_length
-        harm = excessive_change(
+        harm = measures.excessive_change(
             change,
             edge,
             level,
             ways.p95 / edge,
             has_volume=not objection,
-            leeway=NAMED_LEEWAY if is_named else 1.0,
+            leeway=measures.NAMED_LEEWAY if is_named else 1.0,
         )
     if harm is not None:
         warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"))

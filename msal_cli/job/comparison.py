@@ -58,10 +58,6 @@ def surface_of(mesh_file: MeshFile) -> Surface:
     return Surface(**{name: getattr(mesh_file, name) for name in names})
 
 
-def open_surface(path: str, format: str | None = None) -> Surface:
-    return surface_of(open_mesh_file(path, format))
-
-
 def inspect_file(
     path: str,
     format: str | None = None,

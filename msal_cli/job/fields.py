@@ -17,7 +17,7 @@ import numpy as np
 from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
 from msal_cli.analysis.noise_estimate import estimate_regions
 from msal_cli.codecs import colours, ply_write
-from msal_cli.errors import OutputError, UsageError
+from msal_cli.errors import OutputError
 from msal_cli.job.records import FieldsFile
 from msal_cli.storage import atomic
 from msal_cli.storage.regular import open_regular
@@ -61,16 +61,6 @@ KINDS = {
     ),
 }
 """The fields by name, as they are stored."""
-
-
-def check_names(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, each once, in order; UsageError for one that is no field."""
-    for name in names:
-        if name not in KINDS:
-            raise UsageError(
-                f"there is no field {name!r}", hint=f"the fields are: {', '.join(KINDS)}"
-            )
-    return tuple(dict.fromkeys(names))
 
 
 def path_beside(output: str) -> str:

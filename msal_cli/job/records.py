@@ -530,16 +530,8 @@ def as_data(record: Any) -> Any:
         return kind(map(as_data, record))
     if kind is dict:
         return {key: as_data(value) for key, value in record.items()}
-    names = _field_names(typing.cast(Hashable, kind))
+    names = getattr(kind, "__dataclass_fields__", None)
     return {name: as_data(getattr(record, name)) for name in names} if names else record
-
-
-@functools.cache
-def _field_names(kind: Hashable) -> tuple[str, ...]:
-    """Names of a record's fields; none for what is no record."""
-    if not dataclasses.is_dataclass(kind):
-        return ()
-    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def value_at(record: Any, path: str) -> Any:

@@ -304,18 +304,19 @@ def _length(value: Any, label: str, unit: str | None) -> str:
     return str(parse_length(text, label, unit))
 
 
-def _property(value: Any, label: str, unit: str | None) -> str:
-    return value if isinstance(value, str) else _refuse(label, value, "the name of a property")
-
-
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
     return tuple(str(parse_lock(text, label, unit) or BOUNDARY) for text in to_texts(value))
 
 
 def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
-    from msal_cli.job.fields import check_names
+    from msal_cli.job.fields import KINDS
 
-    return check_names(value)
+    for name in value:
+        if name not in KINDS:
+            raise UsageError(
+                f"there is no field {name!r}", hint=f"the fields are: {', '.join(KINDS)}"
+            )
+    return tuple(dict.fromkeys(value))
 
 
 def parse_input_format(value: str, label: str = "--format", unit: str | None = None) -> str:
@@ -332,7 +333,9 @@ _CHECKS: dict[str, Check | None] = {
     "assume": _word_of(Assumption),
     "max_move": _length,
     "lock": _locks,
-    "weights": _property,
+    "weights": lambda value, label, unit: (
+        value if isinstance(value, str) else _refuse(label, value, "the name of a property")
+    ),
     "despike": None,
     "min_noise": lambda value, *more: NEGLIGIBLE if value == NEGLIGIBLE else _length(value, *more),
     "to": lambda value, label, unit: parse_format(value, label, writable_formats()),
@@ -374,7 +377,15 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     wishes = {name: values.pop(name) for name in _WISHES if name in values}
     method, parameters = _choose_method(given.get("method"), given["parameters"], wishes, label)
     if "weights" in values and method not in CHOOSING:
-        _require_data_term(method, parameters, label("weights"))
+        from msal_cli import methods
+
+        # Trust means nothing where nothing pulls a vertex back to where it was scanned.
+        if not methods.find(method).has_data_term(parameters):
+            raise UsageError(
+                f"{label('weights')}: a pull to the scanned positions is needed, and {method} has "
+                "none as it is set",
+                hint="choose msal, or a schedule other than plain where the method has schedules",
+            )
     checks = (SELF_INTERSECTIONS,) if given.get("intersections") else ()
     return Settings(method, parameters, checks=checks, **values)
 
@@ -435,18 +446,6 @@ def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dic
             )
         labels.setdefault(spec.name, label)
     return method.validate(values)
-
-
-def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> None:
-    """Refuse trust where nothing pulls a vertex back to where it was scanned; UsageError."""
-    from msal_cli import methods
-
-    method = methods.find(name)
-    if not method.has_data_term(parameters):
-        raise UsageError(
-            f"{label}: a pull to the scanned positions is needed, and {name} has none as it is set",
-            hint="choose msal, or a schedule other than plain where the method has schedules",
-        )
 
 
 def parse_format(text: str, label: str, known: Sequence[str]) -> str:
