@@ -45,7 +45,7 @@ from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.errors import InputError, MsalError, OutputError
 from msal_cli.job.records import MeshRecord, as_data, from_data
 from msal_cli.storage import urls
-from msal_cli.storage.atomic import flush_folder, write_whole
+from msal_cli.storage.atomic import flush_folder, make_folder, write_whole
 from msal_cli.storage.regular import open_own, open_regular
 from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.version import __version__
@@ -388,7 +388,7 @@ class FolderManifest(Manifest):
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
         own_name = NAME if shard is None else f".msal-manifest-{shard.file_part}.jsonl"
         self._path = Path(folder) / own_name
-        views = {path: read_view(path) for path in list_manifests(folder)}
+        views = {path: LogView.of(read_lines(path)) for path in list_manifests(folder)}
         super().__init__(folder, views.values())
         self._own = views.get(self._path, LogView())
         self._file: BinaryIO | Any = None
@@ -456,11 +456,6 @@ def list_manifests(folder: str) -> list[Path]:
     except OSError as error:
         raise manifest_error(folder, error) from None
     return [Path(folder) / name for name in names]
-
-
-def read_view(path: Path) -> LogView:
-    """What one manifest says; OutputError if it cannot be read."""
-    return LogView.of(read_lines(path))
 
 
 # In a store
@@ -569,7 +564,7 @@ def _store_error(url: str, error: MsalError) -> OutputError:
 def read_views(place: str) -> list[LogView]:
     """What each manifest of a folder or URL says; OutputError if one cannot be read."""
     if not is_url(place):
-        return [read_view(path) for path in list_manifests(place)]
+        return [LogView.of(read_lines(path)) for path in list_manifests(place)]
     parts = _read_parts(place)
     return [_view_of_parts(parts)] if parts else []
 
@@ -588,14 +583,7 @@ def open_folder(place: str, stack: ExitStack, shard: Shard | None = None) -> Man
     Raises UsageError if another run has locked the folder, OutputError if it cannot be made.
     """
     if not is_url(place):
-        try:
-            Path(place).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"the output folder {place!r} cannot be made: {error.strerror}",
-                hint="choose another output, or mend the permissions",
-                path=place,
-            ) from None
+        make_folder(place)
         stack.enter_context(FolderLock(place, shard))
     manifest = open_manifest(place, shard)
     stack.callback(manifest.close)

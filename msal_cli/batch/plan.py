@@ -256,7 +256,7 @@ def _list_outputs(url: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
 
 
 def _check_outputs(tasks: Sequence[Task]) -> None:
-    """UsageError for an output that is an input, a folder or one of our files."""
+    """UsageError for an output that is an input, a folder, below a file, or one of our files."""
     # An input that was named itself may be called like the manifest, the lock or a temporary file.
     for task in tasks:
         if is_own(urls.name(task.output) if is_url(task.output) else Path(task.output).name):
@@ -278,28 +278,24 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
                 what += f" (as {task.output!r})"
             hint = "choose another output; only msal denoise --in-place replaces inputs"
             raise UsageError(what, hint=hint, path=task.input)
-        if not is_url(task.output):
-            _refuse_folder_as_output(task, checked)
-
-
-def _refuse_folder_as_output(task: Task, checked: set[Path]) -> None:
-    """Refuse an output that is a folder, or below a file; ``checked`` grows by its parents."""
-    output = Path(task.output)
-    if os.path.isdir(output) and not os.path.islink(output):
-        raise UsageError(
-            f"the output of {task.input!r} is the folder {task.output!r}",
-            hint="choose another output folder",
-            path=task.input,
-        )
-    for parent in output.parents:
-        if parent in checked:
-            break
-        checked.add(parent)
-        if os.path.lexists(parent) and not os.path.isdir(parent):
+        if is_url(task.output):
+            continue
+        output = Path(task.output)
+        if os.path.isdir(output) and not os.path.islink(output):
             raise UsageError(
-                f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
+                f"the output of {task.input!r} is the folder {task.output!r}",
+                hint="choose another output folder",
                 path=task.input,
             )
+        for parent in output.parents:
+            if parent in checked:
+                break
+            checked.add(parent)
+            if os.path.lexists(parent) and not os.path.isdir(parent):
+                raise UsageError(
+                    f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
+                    path=task.input,
+                )
 
 
 def _distinct_tasks(tasks: Sequence[Task]) -> list[Task]:

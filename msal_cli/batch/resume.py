@@ -172,8 +172,13 @@ class _FreshnessCheck:
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
                 return None
             record = entry.record() or MeshRecord(input=task.input, status="up-to-date")
-            if not (is_url(task.output) or self._has_side_files(task, record)):
-                return None
+            if not is_url(task.output):
+                if (fields := record.fields) is not None:
+                    folder, name = os.path.dirname(task.output), os.path.basename(fields.path)
+                    if self._hash(os.path.join(folder, name)) != fields.sha256:
+                        return None
+                if not are_in_place(record.sidecars, task.input, task.output):
+                    return None
             method = record.method
             return replace(
                 record,
@@ -194,14 +199,6 @@ class _FreshnessCheck:
         if not self._is_same_input(task, entry):
             return None
         return replace(failed, input=task.input, output=None, remembered=True)
-
-    def _has_side_files(self, task: Task, record: MeshRecord) -> bool:
-        """Whether materials and textures are beside an output, and its fields as they were."""
-        if (fields := record.fields) is not None:
-            path = os.path.join(os.path.dirname(task.output), os.path.basename(fields.path))
-            if self._hash(path) != fields.sha256:
-                return False
-        return are_in_place(record.sidecars, task.input, task.output)
 
     def _is_same_input(self, task: Task, entry: ManifestEntry) -> bool:
         if suffix(task.input) == ".gltf":

@@ -13,19 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli.batch import interrupts
+from msal_cli.batch import interrupts, schedule
 from msal_cli.batch.plan import Plan, output_folders
-from msal_cli.batch.schedule import (
-    Failed,
-    Finished,
-    Interrupt,
-    Progress,
-    Retried,
-    Returned,
-    Started,
-    Work,
-    estimate_memory,
-)
+from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file, start_record
@@ -222,8 +212,10 @@ class _BatchRun:
         received: list[int] = []
         tasks = {index: self.plan.tasks[index] for index in todo}
         with interrupts.catch_signals():
-            weights, light_bytes, budget_bytes = estimate_memory(tasks, self.settings, self.limits)
-        work = Work(
+            weights, light_bytes, budget_bytes = schedule.estimate_memory(
+                tasks, self.settings, self.limits
+            )
+        work = schedule.Work(
             tasks,
             denoise_in_worker,
             (self.denoise, self.settings),
@@ -255,7 +247,7 @@ class _BatchRun:
                     most = self.stop_after_failures
                     if self._failure is not None or (most is not None and self._n_failed >= most):
                         engine.stop()
-            except Interrupt:
+            except schedule.Interrupt:
                 interrupts.raise_for(received[0] if received else signal.SIGINT)
 
     def _handle_messages(self, messages: list[Message]) -> None:
@@ -263,7 +255,7 @@ class _BatchRun:
         for message in messages:
             if isinstance(message, Started | Progress):
                 self.on_event(message)
-            elif isinstance(message, Returned):
+            elif isinstance(message, schedule.Returned):
                 record: MeshRecord = message.result
                 if message.earlier:
                     which = "the second try" if self.retries == 1 else "a later try"
@@ -271,11 +263,11 @@ class _BatchRun:
                     note = f"done at {which}: {message.earlier} {before}"
                     record = replace(record, warnings=(*record.warnings, note))
                 finished[message.index] = record
-            elif isinstance(message, Failed):
+            elif isinstance(message, schedule.Failed):
                 # It was lost outside of the pipeline.
                 start = start_record(self.plan.tasks[message.index].input, self.settings)
                 finished[message.index] = replace(start, error=message.failure)
-            elif isinstance(message, Retried):
+            elif isinstance(message, schedule.Retried):
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
         self._finish(finished)

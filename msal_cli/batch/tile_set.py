@@ -14,14 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msal_cli.analysis import shared_borders
 from msal_cli.analysis.measures import at_other_positions
-from msal_cli.analysis.shared_borders import (
-    Border,
-    SharedBorders,
-    count_unmatched,
-    find_border,
-    share_borders,
-)
+from msal_cli.analysis.shared_borders import Border, SharedBorders
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.workers import limited_memory
 from msal_cli.codecs.header import BASE_BYTES
@@ -158,7 +153,7 @@ class SetRun:
         try:
             mesh_file, _ = run.open(run.read(task))
             with run.stage("connectivity"):
-                border = find_border(
+                border = shared_borders.find_border(
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
                 )
                 # Those that --lock and --weights name; coordinates are in any file.
@@ -183,13 +178,13 @@ class SetRun:
         """The borders that members share, and what records say of each."""
         borders = [member.border for member in self._members]
         is_single = [member.record.precision == "float32" for member in self._members]
-        shared = share_borders(borders, is_single)
+        shared = shared_borders.share_borders(borders, is_single)
         if not self._members:
             return shared, []
         lengths = np.array([member.record.mean_edge_length or 0.0 for member in self._members])
         n_triangles = np.array([member.record.triangles or 0 for member in self._members])
         edge = float(np.average(lengths, weights=n_triangles))
-        unmatched = count_unmatched(borders, shared, edge)
+        unmatched = shared_borders.count_unmatched(borders, shared, edge)
         neighbours, gaps = shared.neighbours(), shared.distances(shared.positions)
         is_shared, fixed = shared.is_shared, self._fixed_points(shared)
         is_moved = (shared.joined_positions != shared.positions).any(axis=1)

@@ -32,17 +32,8 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field, replace
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-from msal_cli.batch.schedule import (
-    Failed,
-    Interrupt,
-    Message,
-    Progress,
-    Retried,
-    Returned,
-    Started,
-    TaskQueue,
-    Work,
-)
+from msal_cli.batch import schedule
+from msal_cli.batch.schedule import Failed, Message, Work
 from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import FORECAST
@@ -103,7 +94,7 @@ class WorkerPool:
         self._work = work
         self._limits = work.limits
         self._jobs = max(1, min(work.jobs, len(work.tasks)))
-        self._queue = TaskQueue(work)
+        self._queue = schedule.TaskQueue(work)
         # Of tasks that were lost with their workers: how often each, and why the last time.
         self._n_losses: collections.Counter[int] = collections.Counter()
         self._reasons: dict[int, str] = {}
@@ -138,7 +129,7 @@ class WorkerPool:
                         messages += self._handle_message(worker, message)
                 if is_interrupted:
                     yield messages + self._stop_workers()
-                    raise Interrupt
+                    raise schedule.Interrupt
                 messages += self._kill_overdue()
                 if messages and self._work.reports_first:
                     yield messages
@@ -215,7 +206,7 @@ class WorkerPool:
         worker.current_task = index
         if self._limits.timeout_s is not None:
             worker.deadline = time.monotonic() + self._limits.timeout_s
-        return [Started(index)]
+        return [schedule.Started(index)]
 
     # Messages
 
@@ -257,7 +248,7 @@ class WorkerPool:
             worker.deadline = math.inf
             self._false_starts = 0
         elif kind == "progress":
-            return [Progress(*rest)]
+            return [schedule.Progress(*rest)]
         elif kind == "log":
             name, level, text = rest
             is_repeated = level >= logging.WARNING and (name, text) in self._warnings
@@ -268,7 +259,7 @@ class WorkerPool:
         elif kind == "returned":
             index, result, resident = rest
             self._finish(worker, resident)
-            return [Returned(index, result, self._reasons.get(index, ""))]
+            return [schedule.Returned(index, result, self._reasons.get(index, ""))]
         elif kind == "raised":
             index, reason = rest
             self._finish(worker, 0)
@@ -351,7 +342,7 @@ class WorkerPool:
         if n_tries <= self._work.retries:
             self._reasons[index] = reason
             self._queue.retry(index)
-            return [Retried(index, reason)]
+            return [schedule.Retried(index, reason)]
         if n_tries > 1:
             reason += ", as at the first try" if n_tries == 2 else f" ({n_tries} tries)"
         return [Failed(index, replace(failure, message=reason))]

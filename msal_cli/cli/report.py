@@ -203,7 +203,8 @@ def _read_file(path: Path) -> RunHistory:
     runs: list[RunEntry] = []
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
-            return resume.read_history([manifest.read_view(path)], str(path.parent))
+            view = manifest.LogView.of(manifest.read_lines(path))
+            return resume.read_history([view], str(path.parent))
         records = read_lines(data, name)
     elif path.suffix.lower() == ".json":
         run, records = read_json(data, name)

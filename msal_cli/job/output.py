@@ -130,16 +130,8 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
 
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    if is_url(path):
-        return
-    folder = os.path.dirname(path) or os.curdir
-    try:
-        os.makedirs(folder, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"the folder {folder!r} cannot be made: {error.strerror}",
-            hint="choose another output, or mend the permissions",
-        ) from None
+    if not is_url(path):
+        atomic.make_folder(os.path.dirname(path) or os.curdir)
 
 
 def keep_backup(task: Task, data: Buffer) -> None:

@@ -93,6 +93,18 @@ def write_new(
     return _write(path, buffers, sources, is_new=True)
 
 
+def make_folder(folder: str) -> None:
+    """Make a folder for outputs, and those above it, unless it is there; OutputError if not."""
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"the output folder {folder!r} cannot be made: {error.strerror}",
+            hint="choose another output, or mend the permissions",
+            path=folder,
+        ) from None
+
+
 def _write(
     path: str | os.PathLike[str],
     buffers: Buffer | Iterable[Buffer],
