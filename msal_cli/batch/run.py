@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from msal_cli.batch import interrupts, schedule
 from msal_cli.batch.plan import Plan, output_folders
-from msal_cli.batch.schedule import Finished, Progress, Started
+from msal_cli.batch.schedule import EngineFactory, Finished, Message, OnEvent, Progress, Started
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file, start_record
@@ -29,7 +29,6 @@ from msal_cli.storage.urls import is_url
 if TYPE_CHECKING:
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.resume import Journal
-    from msal_cli.batch.schedule import EngineFactory, Message, OnEvent
     from msal_cli.batch.workers import Denoise
 
 

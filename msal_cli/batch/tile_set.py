@@ -10,20 +10,21 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from msal_cli.analysis import shared_borders
 from msal_cli.analysis.measures import at_other_positions
 from msal_cli.analysis.shared_borders import Border, SharedBorders
-from msal_cli.batch.schedule import Progress
+from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.batch.schedule import OnEvent, Progress
 from msal_cli.batch.workers import limited_memory
 from msal_cli.codecs.header import BASE_BYTES
-from msal_cli.codecs.mesh_file import Surface
+from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
-from msal_cli.job.pipeline import FileRun, start_record
+from msal_cli.job.pipeline import FileRun, OnProgress, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
 from msal_cli.job.room import find_scratch, open_mesh, to_known_error, use_scratch
 from msal_cli.job.settings import (
@@ -37,12 +38,6 @@ from msal_cli.job.settings import (
     parse_lock,
 )
 from msal_cli.machine import memory_bytes
-
-if TYPE_CHECKING:
-    from msal_cli.arrays import Flags, Floats, Ints
-    from msal_cli.batch.schedule import OnEvent
-    from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.job.pipeline import OnProgress
 
 _SHARED_FIELDS = (
     "method",

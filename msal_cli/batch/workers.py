@@ -35,17 +35,15 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from msal_cli.batch import schedule
 from msal_cli.batch.schedule import Failed, Message, Work
 from msal_cli.errors import ResourceError
-from msal_cli.job.records import Failure
-from msal_cli.job.settings import FORECAST
+from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.settings import FORECAST, Settings, Task
 from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.job.settings import Settings, Task
 
-    Denoise = Callable[..., MeshRecord]
-    """What does one file, such as ``pipeline.denoise_file``."""
+Denoise = Callable[..., MeshRecord]
+"""What does one file, such as ``pipeline.denoise_file``."""
 
 # Without -P the first entry of the search path would be the current folder, which may hold any
 # files.

@@ -6,15 +6,17 @@ becomes a record with an error.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from msal_cli.analysis import measures
+from msal_cli.arrays import Floats
 from msal_cli.codecs import header
-from msal_cli.codecs.mesh_file import Surface
+from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
 from msal_cli.job.records import (
@@ -22,23 +24,16 @@ from msal_cli.job.records import (
     ComparisonRecord,
     Failure,
     InfoRecord,
+    MeshRecord,
     Reference,
     SelfIntersections,
     SurfaceDistance,
 )
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
 from msal_cli.kernels.geometry import distances
-from msal_cli.mesh import PreparedMesh
+from msal_cli.mesh import Mesh, PreparedMesh
+from msal_cli.storage.regular import Buffer
 from msal_cli.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from msal_cli.arrays import Floats
-    from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.mesh import Mesh
-    from msal_cli.storage.regular import Buffer
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""

@@ -19,8 +19,8 @@ from msal_cli.analysis.noise_estimate import estimate_regions
 from msal_cli.codecs import colours, ply_write
 from msal_cli.errors import OutputError
 from msal_cli.job.records import FieldsFile
-from msal_cli.storage import atomic
-from msal_cli.storage.regular import open_regular
+from msal_cli.storage.atomic import Sources, write_whole
+from msal_cli.storage.regular import Buffer, open_regular
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import PreparedMesh
-    from msal_cli.storage.atomic import Sources
-    from msal_cli.storage.regular import Buffer
 
 SUFFIX = ".fields.ply"
 """What takes the place of an output's suffix."""
@@ -159,4 +157,4 @@ def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:
             hint="move it away, or choose another output folder",
             path=path,
         )
-    atomic.write_whole(path, [data], sources=sources)
+    write_whole(path, [data], sources=sources)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile, Surface
-    from msal_cli.storage.atomic import Sources
     from msal_cli.storage.regular import Buffer
 
 
@@ -149,7 +148,7 @@ def keep_backup(task: Task, data: Buffer) -> None:
 
 
 def write_output(
-    path: str, data: Buffer, companions: tuple[Companion, ...] = (), sources: Sources = ()
+    path: str, data: Buffer, companions: tuple[Companion, ...] = (), sources: atomic.Sources = ()
 ) -> None:
     """Write a file after those that hold a part of it; its folder is made if it is not there.
 

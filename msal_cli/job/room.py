@@ -33,13 +33,12 @@ from msal_cli.job.settings import (
 from msal_cli.kernels import array_files
 from msal_cli.machine import megabytes
 from msal_cli.storage import gzip_streams
-from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regular
+from msal_cli.storage.regular import LOOKED_AT, Buffer, large_files_allowed, open_regular
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
-    from msal_cli.storage.regular import Buffer
 
 log = logging.getLogger("msal")
 

@@ -13,12 +13,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from msal_cli.errors import UsageError
-from msal_cli.storage.urls import is_url, split
+from msal_cli.storage.urls import ObjectMark, is_url, split
 
 if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast
     from msal_cli.methods import Method
-    from msal_cli.storage.urls import ObjectMark
 
 Preference = Literal["balanced", "positions", "normals", "volume"]
 Keep = Literal["texture", "edges", "shape"]

@@ -206,23 +206,17 @@ def _open(url: str) -> tuple[Any, str]:
     key = (protocol, repr(sorted(options.items())))
     with _lock:
         if key not in _file_systems:
-            _file_systems[key] = _connect(protocol, options)
+            try:
+                system = fsspec.filesystem(protocol, **options)
+            except (ImportError, TypeError, ValueError) as failure:
+                raise UsageError(
+                    f"{protocol}:// cannot be used: {urls.redact(_one_line(failure))}",
+                    hint="chained URLs and archives are not supported",
+                ) from None
+            if isinstance(getattr(system, "retries", None), int):
+                system.retries = min(system.retries, _TRIES_AROUND_BOTOCORE)
+            _file_systems[key] = system
         return _file_systems[key], path
-
-
-def _connect(protocol: str, options: dict[str, Any]) -> Any:
-    import fsspec
-
-    try:
-        system = fsspec.filesystem(protocol, **options)
-    except (ImportError, TypeError, ValueError) as failure:
-        raise UsageError(
-            f"{protocol}:// cannot be used: {urls.redact(_one_line(failure))}",
-            hint="chained URLs and archives are not supported",
-        ) from None
-    if isinstance(getattr(system, "retries", None), int):
-        system.retries = min(system.retries, _TRIES_AROUND_BOTOCORE)
-    return system
 
 
 def _mark(system: Any, path: str) -> ObjectMark | None:
@@ -255,14 +249,28 @@ def _mark_of(info: dict[str, Any]) -> ObjectMark:
     return ObjectMark(size, "")
 
 
-# Names of exceptions, of libraries that need not be here.
-_UNREACHABLE = re.compile(
-    "(ClientConnection|ConnectTimeout|ConnectionClosed|Connection|EndpointConnection|FSTimeout|"
-    "HTTPClient|ReadTimeout|Timeout)Error|gaierror"
-)
-_WITHOUT_CREDENTIALS = re.compile(
-    "((CredentialRetrieval|DefaultCredentials|NoCredentials|PartialCredentials|TokenRetrieval)"
-    "Error|ProfileNotFound|RefreshError)"
+# Names of exceptions, of libraries that need not be here; what each means, and what to do.
+_EXPLANATIONS = (
+    (
+        "((CredentialRetrieval|DefaultCredentials|NoCredentials|PartialCredentials|TokenRetrieval)"
+        "Error|ProfileNotFound|RefreshError)",
+        "there are no credentials ({})",
+        "set AWS_PROFILE, AWS_ACCESS_KEY_ID or the store's own variables; "
+        "FSSPEC_S3_ANON=true for public buckets",
+    ),
+    (
+        "PermissionError",
+        "access is denied ({})",
+        "check the credentials and what they may do there",
+    ),
+    (
+        "(ClientConnection|ConnectTimeout|ConnectionClosed|Connection|EndpointConnection|FSTimeout|"
+        "HTTPClient|ReadTimeout|Timeout)Error|gaierror",
+        "the store cannot be reached ({})",
+        "check the address (of S3 AWS_ENDPOINT_URL) and the network; then run again",
+    ),
+    ("NotImplementedError", "its file system cannot do that", "name another place"),
+    ("UnicodeError", "its name is not valid Unicode", "rename it"),
 )
 
 
@@ -278,23 +286,9 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         if "bucket" in said.lower():
             return "there is no such bucket", "check the bucket's name"
         return "there is no such object", "it may have been removed meanwhile; check the name"
-    if any(map(_WITHOUT_CREDENTIALS.fullmatch, kinds)):
-        return (
-            f"there are no credentials ({said})",
-            "set AWS_PROFILE, AWS_ACCESS_KEY_ID or the store's own variables; "
-            "FSSPEC_S3_ANON=true for public buckets",
-        )
-    if "PermissionError" in kinds:
-        return f"access is denied ({said})", "check the credentials and what they may do there"
-    if any(map(_UNREACHABLE.fullmatch, kinds)):
-        return (
-            f"the store cannot be reached ({said})",
-            "check the address (of S3 AWS_ENDPOINT_URL) and the network; then run again",
-        )
-    if "NotImplementedError" in kinds:
-        return "its file system cannot do that", "name another place"
-    if "UnicodeError" in kinds:
-        return "its name is not valid Unicode", "rename it"
+    for pattern, reason, hint in _EXPLANATIONS:
+        if any(re.fullmatch(pattern, kind) for kind in kinds):
+            return reason.format(said), hint
     return said, "retry; check the status of the object store"
 
 
