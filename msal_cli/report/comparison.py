@@ -51,9 +51,7 @@ SLACK = 1e-6
 
 
 def describe_comparison(record: ComparisonRecord) -> list[Line]:
-    """The lines on two files: their names, then one line per measure."""
-    if record.error is not None:
-        return facts.failure_lines(_pair_name(record), record.error)
+    """The lines on two files that were compared: their names, then one line per measure."""
     before = facts.vertices_text(record.vertices_before, record.corners_before)
     after = facts.vertices_text(record.vertices_after, record.corners_after)
     lines = [

@@ -250,10 +250,7 @@ def _note(record: MeshRecord) -> str:
 
 
 def describe_info(record: InfoRecord) -> list[Line]:
-    """The lines on one file: its name, then one line per fact."""
-    name = file_name(record.input)
-    if record.error is not None:
-        return facts.failure_lines(name, record.error)
+    """The lines on a file that could be read: its name, then one line per fact."""
     storage = (
         *(record.format, record.encoding, record.precision, "gzip" if record.compressed else ""),
         figure(record.bytes, ",", " bytes"),
@@ -293,7 +290,7 @@ def describe_info(record: InfoRecord) -> list[Line]:
     )
     found = [Fact(word, text) for word, text in rows if text]
     found += [Fact("warning", text, "bad") for text in record.warnings]
-    return [Line(name, "good"), *facts.fact_lines(found, 15)]
+    return [Line(file_name(record.input), "good"), *facts.fact_lines(found, 15)]
 
 
 class InfoTable:
