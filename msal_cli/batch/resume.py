@@ -479,7 +479,17 @@ RunHistory = tuple[list[RunEntry], list[FileRow]]
 def read_history(views: Sequence[LogView], place: str) -> RunHistory:
     """What manifests of a place say; a file that a run did not finish has a ``planned`` record."""
     runs = [run for view in views for run in _parse_runs(view)]
-    rows = [_row(entry, place) for entry in manifests.merge_entries(views).values()]
+    rows = []
+    for entry in manifests.merge_entries(views).values():
+        record = entry.record() if entry.is_done else None
+        try:
+            source, target = map(str, entry.data()["paths"])
+        except (KeyError, TypeError, ValueError):
+            source, target = entry.name, ""
+        target = target or str(Path(place) / entry.name)
+        if record is None:
+            record = MeshRecord(input=source, status="planned", output=target)
+        rows.append(FileRow(entry.at, source, target, record))
     return sorted(runs, key=lambda run: run.at), rows
 
 
@@ -517,15 +527,3 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
         except (ValueError, KeyError, TypeError, RecursionError):
             continue
     return runs
-
-
-def _row(entry: ManifestEntry, place: str) -> FileRow:
-    record = entry.record() if entry.is_done else None
-    try:
-        source, target = map(str, entry.data()["paths"])
-    except (KeyError, TypeError, ValueError):
-        source, target = entry.name, ""
-    target = target or str(Path(place) / entry.name)
-    if record is None:
-        record = MeshRecord(input=source, status="planned", output=target)
-    return FileRow(entry.at, source, target, record)

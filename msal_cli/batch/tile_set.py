@@ -39,14 +39,8 @@ from msal_cli.job.settings import (
 )
 from msal_cli.machine import memory_bytes
 
-_SHARED_FIELDS = (
-    "method",
-    "choice",
-    "left_alone",
-    "despiked",
-    "clamped_vertices",
-    "locked_vertices",
-)
+# What the records of all files of a set share.
+_OF_SET = ("method", "choice", "left_alone", "despiked", "clamped_vertices", "locked_vertices")
 _ROUNDING = {"text": 0, "integer": 0, "float32": 1}
 """Precisions that round positions more than double precision, the coarsest first."""
 
@@ -216,7 +210,7 @@ class SetRun:
         run = FileRun("the tile set", self._settings, on_progress)
         moved = run.move_vertices(*self._join(shared, starts))
         joint = run.finish(None)
-        known = {name: getattr(joint, name) for name in _SHARED_FIELDS}
+        known = {name: getattr(joint, name) for name in _OF_SET}
         written = np.full_like(shared.positions, np.nan)
         # What the first file stores that has a point: the others take it from there.
         agreed = np.full_like(shared.positions, np.nan)
@@ -239,11 +233,17 @@ class SetRun:
             agreed[first[is_open]] = points[is_open]
             share = counts[place] / starts[-1]
             peak = joint.peak_memory_bytes or 0
-            assert record.seconds and member.record.seconds and joint.seconds
+            # Of writing it, of reading it first, and its share of the joint work.
+            seconds = {
+                stage.name: getattr(record.seconds, stage.name)
+                + getattr(member.record.seconds, stage.name)
+                + share * getattr(joint.seconds, stage.name)
+                for stage in fields(Seconds)
+            }
             self._records[member.index] = replace(
                 record,
                 tile_set=parts[place],
-                seconds=_add_seconds(record.seconds, member.record.seconds, joint.seconds, share),
+                seconds=Seconds(**seconds),
                 peak_memory_bytes=max(record.peak_memory_bytes or 0, peak) or None,
             )
         self._record_gaps(shared, written, is_single, joint.warnings)
@@ -371,17 +371,6 @@ def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[
             "positions with other digits"
         )
     return notes
-
-
-def _add_seconds(own: Seconds, scan: Seconds, joint: Seconds, share: float) -> Seconds:
-    """The seconds of writing a file, those of reading it first, and its share of the joint work."""
-    names = [stage.name for stage in fields(Seconds)]
-    return Seconds(
-        **{
-            name: getattr(own, name) + getattr(scan, name) + share * getattr(joint, name)
-            for name in names
-        }
-    )
 
 
 def _read_points(

@@ -15,6 +15,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import faulthandler
+import functools
 import json
 import logging
 import math
@@ -30,7 +31,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field, replace
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any
 
 from msal_cli.batch import schedule
 from msal_cli.batch.schedule import Failed, Message, Work
@@ -382,7 +383,7 @@ class WorkerPool:
         for thread in worker.readers:
             thread.start()
         work, level = self._work, _log.getEffectiveLevel()
-        worker.send(Assignment(work.function, work.common, level, self._limits.memory_bytes))
+        worker.send((work.function, work.common, level, self._limits.memory_bytes))
         return worker
 
     def _stop_workers(self) -> list[Message]:
@@ -509,15 +510,6 @@ def _read_output(worker: WorkerProcess) -> None:
 # Inside a worker
 
 
-class Assignment(NamedTuple):
-    """The first message to a worker: ``function(task, common, on_progress)`` is its work."""
-
-    function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
-    common: Any
-    log_level: int
-    memory_bytes: int | None = None
-
-
 def send(pipe: IO[bytes] | None, message: object) -> None:
     """Send one message to a pipe; OSError if it has no reader."""
     # Whole, so that what cannot be pickled leaves no half of a message.
@@ -546,17 +538,17 @@ def serve() -> None:
             os._exit(0)
 
     try:
-        assignment: Assignment = pickle.load(orders)
+        # Its work is ``function(task, common, on_progress)``; what ``Work`` says of both.
+        function, common, log_level, limit = pickle.load(orders)
         root = logging.getLogger()
         root.addHandler(_ParentLog(respond))
         root.setLevel(logging.WARNING)
-        logging.getLogger("msal").setLevel(assignment.log_level)
+        logging.getLogger("msal").setLevel(log_level)
     except EOFError:
         return
     except BaseException:
         respond("unusable", traceback.format_exc())
         return
-    limit = assignment.memory_bytes
     if limit is not None and not sys.platform.startswith("linux"):
         threading.Thread(target=_watch_memory, args=(limit, respond), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
@@ -572,10 +564,14 @@ def serve() -> None:
     threading.Thread(target=receive, daemon=True).start()
     respond("ready", os.getpid())
     while True:
-        _do(assignment, *tasks.get(), respond)
+        index, task = tasks.get()
+        work = functools.partial(function, task, common)
+        _do(work, index, limit, respond)
 
 
-def _do(assignment: Assignment, index: int, task: Any, respond: Callable[..., None]) -> None:
+def _do(
+    work: Callable[..., Any], index: int, limit: int | None, respond: Callable[..., None]
+) -> None:
     begun = time.monotonic()
     last = ("", 0.0)
 
@@ -588,8 +584,8 @@ def _do(assignment: Assignment, index: int, task: Any, respond: Callable[..., No
             respond("progress", index, stage, done, total)
 
     try:
-        with limited_memory(assignment.memory_bytes):
-            result = assignment.function(task, assignment.common, on_progress)
+        with limited_memory(limit):
+            result = work(on_progress)
         respond("returned", index, result, memory_bytes("VmRSS"))
     except MemoryError:
         respond("exhausted")

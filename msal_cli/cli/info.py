@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
@@ -49,7 +49,7 @@ def command(request: Request) -> int:
     from msal_cli.cli.streams import read_stream
     from msal_cli.job.comparison import inspect_file
     from msal_cli.job.records import Failure, InfoRecord
-    from msal_cli.report.text import InfoTable, describe_info
+    from msal_cli.report.text import describe_info, info_table
 
     format, is_checked = resolve_format(request.format), bool(request.checks)
     unlisted: list[MsalError] = []
@@ -65,31 +65,34 @@ def command(request: Request) -> int:
     )
     failed = (InfoRecord(str(error.path), error=Failure.of(error)) for error in unlisted)
     records: Iterable[InfoRecord] = itertools.chain(inspected, failed)
-    table = None
     if request.as_json:
         records = list(records)
         console.put_json(InfoRecord.schema, records=records)
-    elif len(paths) > 1 and not request.verbose:
-        table = InfoTable(paths, console.width(sys.stdout))
-    n_printed = n_failed = 0
+    n_read = n_failed = 0
+
+    def read_files() -> Iterator[InfoRecord]:
+        """The files that could be read; of the others it is said why not."""
+        nonlocal n_read, n_failed
+        for record in records:
+            if record.error is None:
+                n_read += 1
+                yield record
+            else:
+                n_failed += 1
+                console.say_failure(record.input, record.error)
+
     # Each file is printed as soon as it is known.
-    for record in records:
-        if record.error is not None:
-            n_failed += 1
-            console.say_failure(record.input, record.error)
-            continue
-        if table is not None:
-            console.put_lines(
-                [table.row(record)] if n_printed else [table.head(), table.row(record)]
-            )
-        elif not request.as_json:
-            console.put("\n" if n_printed else "")
-            console.put_lines(describe_info(record))
-        n_printed += 1
-        console.flush()
-    if table is not None and n_printed:
-        console.put_lines([table.foot()])
-    return console.status_of_files(n_printed + n_failed, n_failed)
+    if len(paths) > 1 and not request.verbose and not request.as_json:
+        for line in info_table(read_files(), paths, console.width(sys.stdout)):
+            console.put_lines([line])
+            console.flush()
+    else:
+        for record in read_files():
+            if not request.as_json:
+                console.put("\n" if n_read > 1 else "")
+                console.put_lines(describe_info(record))
+                console.flush()
+    return console.status_of_files(n_read + n_failed, n_failed)
 
 
 def _find_paths(request: Request, unlisted: list[MsalError]) -> tuple[str, ...]:

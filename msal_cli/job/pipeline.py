@@ -18,7 +18,7 @@ import numpy as np
 from msal_cli import machine
 from msal_cli.codecs import header
 from msal_cli.errors import InputError, InternalError, format_count
-from msal_cli.job import changes, output, room
+from msal_cli.job import changes, output, records, room
 from msal_cli.job.choice import (
     MILDER,
     Preparation,
@@ -27,14 +27,7 @@ from msal_cli.job.choice import (
     prepare,
     soften_choice,
 )
-from msal_cli.job.records import (
-    Failure,
-    FieldsFile,
-    MeshRecord,
-    MethodUsed,
-    Seconds,
-    SelfIntersections,
-)
+from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import CHOOSING, NO_LIMITS, SELF_INTERSECTIONS, Limits, Settings, Task
 from msal_cli.kernels import array_files
 from msal_cli.kernels.geometry import distances
@@ -62,7 +55,7 @@ _OF_OUTPUT = (
 
 def start_record(name: str, settings: Settings) -> MeshRecord:
     """The record of a file before anything is known of it; it counts as failed until it is not."""
-    method = MethodUsed(settings.method, dict(settings.parameters))
+    method = records.MethodUsed(settings.method, dict(settings.parameters))
     return MeshRecord(input=name, status="failed", version=__version__, method=method)
 
 
@@ -107,7 +100,7 @@ class FileRun:
         self._is_changed = False
         # For each field of --fields the values (n,) at the file's vertices.
         self.field_values: dict[str, Floats] = {}
-        self._fields_file: tuple[Buffer, FieldsFile] | None = None
+        self._fields_file: tuple[Buffer, records.FieldsFile] | None = None
         self._output_digest: Callable[[], str] | None = None
 
     # The record
@@ -142,7 +135,7 @@ class FileRun:
     def _close_record(self, **values: Any) -> MeshRecord:
         """The record with these fields, all seconds until now, and the peak of memory."""
         self._count()
-        seconds = Seconds(**self._seconds, total=self._counted - self._started)
+        seconds = records.Seconds(**self._seconds, total=self._counted - self._started)
         # Pages of files, which the system takes back when it likes, would count.
         peak = None if array_files.are_used() else machine.peak_bytes()
         self.know(seconds=seconds, peak_memory_bytes=peak, **values)
@@ -157,7 +150,7 @@ class FileRun:
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        failure = Failure.of(room.to_known_error(error, self.record.input))
+        failure = records.Failure.of(room.to_known_error(error, self.record.input))
         return self._close_record(status="failed", error=failure, **dict.fromkeys(_OF_OUTPUT))
 
     # The way of a file
@@ -391,7 +384,7 @@ class FileRun:
             from msal_cli.analysis.measures import self_intersection_change
 
             counts = self_intersection_change(ready.mesh, ready.mesh.with_vertices(moved))
-            self.know(self_intersections=SelfIntersections(*counts))
+            self.know(self_intersections=records.SelfIntersections(*counts))
 
 
 _SHARES = (0.999, 0.9, 0.75, 0.5, 0.25, 0.0)

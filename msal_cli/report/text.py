@@ -1,7 +1,7 @@
 """What msal prints for people: of a run the facts of one file, or a table of several, what failed
 and why, and the totals; of files what is in them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.errors import format_count
@@ -293,21 +293,25 @@ def describe_info(record: InfoRecord) -> list[Line]:
     return [Line(file_name(record.input), "good"), *facts.fact_lines(found, 15)]
 
 
-class InfoTable:
-    """The lines of a table for files whose paths are known beforehand; ``width`` in columns."""
+def info_table(records: Iterable[InfoRecord], paths: Sequence[str], width: int) -> Iterator[Line]:
+    """The lines of a table of files that could be read, each as its record comes.
 
-    def __init__(self, paths: Sequence[str], width: int) -> None:
-        longest = max((columns(file_name(path)) for path in paths), default=0)
-        self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - _INFO_WIDTH)))
+    ``paths`` are known beforehand and bound the first column; ``width`` is in columns.
+    """
+    longest = max((columns(file_name(path)) for path in paths), default=0)
+    name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - _INFO_WIDTH)))
 
-    def head(self) -> Line:
-        heads = ("format", "vertices", "faces", "noise", "surface", "problems")
-        return Line(self._join("file", *heads), "faint")
+    def join(name: str, *cells: str) -> str:
+        name = pad_name(shorten_name(name, name_width), name_width)
+        return _INFO_LINE.format(name, *cells).rstrip()
 
-    def row(self, record: InfoRecord) -> Line:
-        """The line on a file that could be read."""
-        noise = record.noise_estimate
-        pairs = ("pair of faces that intersect", "pairs of faces that intersect")
+    pairs = ("pair of faces that intersect", "pairs of faces that intersect")
+    is_empty = True
+    for record in records:
+        if is_empty:
+            heads = ("format", "vertices", "faces", "noise", "surface", "problems")
+            yield Line(join("file", *heads), "faint")
+        is_empty, noise = False, record.noise_estimate
         problems = (
             facts.defects_text(record),
             format_count(record.self_intersections or None, *pairs),
@@ -321,13 +325,6 @@ class InfoTable:
             "-" if record.closed is None else "closed" if record.closed else "open",
             ", ".join(filter(None, problems)),
         )
-        return Line(self._join(file_name(record.input), *cells))
-
-    def foot(self) -> Line:
-        return Line(
-            "(noise in mean edge lengths; -v shows all that is known of each file)", "faint"
-        )
-
-    def _join(self, name: str, *cells: str) -> str:
-        name = pad_name(shorten_name(name, self._name_width), self._name_width)
-        return _INFO_LINE.format(name, *cells).rstrip()
+        yield Line(join(file_name(record.input), *cells))
+    if not is_empty:
+        yield Line("(noise in mean edge lengths; -v shows all that is known of each file)", "faint")
