@@ -20,7 +20,7 @@ from msal_cli.batch.lock import Shard
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, from_data
+from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, Run, from_data
 from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
@@ -435,23 +435,15 @@ def roll_back(task: Task, before: FileStat | None) -> str:
 
 
 @dataclass(frozen=True)
-class RunEntry:
-    """A run as its manifest describes it.
+class RunEntry(Run):
+    """A run as its manifest describes it; ``at`` orders runs (see `manifest`).
 
-    ``at`` orders runs (see `manifest`).  ``started`` and ``finished`` are UTC, ISO 8601, to
-    the millisecond, and ``seconds`` lie between them.  A run without an end, because it was killed
-    or is still at work, is ``interrupted`` and finished when it wrote its last line.
+    One without an end, because it was killed or is still at work, is ``interrupted`` and finished
+    when it wrote its last line.
     """
 
-    version: str
-    command: tuple[str, ...]
-    settings: Mapping[str, Any]
-    started: str
     shard: Shard | None = None
     at: int = 0
-    finished: str = ""
-    seconds: float = 0.0
-    interrupted: bool = True
 
     @property
     def configuration(self) -> tuple[str, str]:
@@ -511,12 +503,14 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
             data = json.loads(run_line.line)
             if data["kind"] == "run":
                 shard, at, last_at = data["shard"], int(data["at"]), run_line.last_at
-                shard = shard and {"number": shard[0], "count": shard[1]}
-                start: RunEntry = from_data(RunEntry, {**data, "shard": shard})
                 # As if it had ended with its last entry.
-                finished = iso_timestamp(last_at) if last_at > at else start.started
-                seconds = max(0, last_at - at) / 1e9
-                runs.append(replace(start, finished=finished, seconds=seconds))
+                end = {
+                    "finished": iso_timestamp(last_at) if last_at > at else data["started"],
+                    "seconds": max(0, last_at - at) / 1e9,
+                    "interrupted": True,
+                }
+                shard = shard and {"number": shard[0], "count": shard[1]}
+                runs.append(from_data(RunEntry, {**data, **end, "shard": shard}))
             elif runs:
                 runs[-1] = replace(
                     runs[-1],

@@ -32,8 +32,7 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import Failure, MeshRecord
-    from msal_cli.report.data import Run
+    from msal_cli.job.records import Failure, MeshRecord, Run
     from msal_cli.report.facts import Line
 
 _STYLES: dict[str, dict[str, Any]] = {

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan
     from msal_cli.batch.schedule import EngineFactory, Event
     from msal_cli.batch.workers import Denoise
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.report.data import Run
+    from msal_cli.job.records import MeshRecord, Run
     from msal_cli.report.gates import Gate
 
 _log = logging.getLogger("msal.denoise")
@@ -391,12 +390,13 @@ class _Session:
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
         """Measure, print, write the reports, and give the exit status."""
+        from msal_cli.job.records import Failure, MeshRecord, Run
         from msal_cli.report import data
 
         request = self._request
         is_dry = request.dry_run
         n_left = 0 if is_dry else sum(record.status == "planned" for record in records)
-        run = data.Run(
+        run = Run(
             version=__version__,
             command=self._command,
             settings=asdict(settings),
@@ -412,8 +412,6 @@ class _Session:
 
             records = with_references(records, self._references, settings.format)
         if self._unlisted:
-            from msal_cli.job.records import Failure, MeshRecord
-
             unlisted = ((error.path, Failure.of(error)) for error in self._unlisted)
             records = [*records, *(MeshRecord(path, "failed", error=e) for path, e in unlisted)]
         if self._gates and not is_dry:

@@ -13,7 +13,7 @@ from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts
 from msal_cli.errors import UsageError
-from msal_cli.report.data import Run
+from msal_cli.job.records import Run
 from msal_cli.storage.gzip_streams import read_whole
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
@@ -210,8 +210,7 @@ def _read_file(path: Path) -> RunHistory:
         run, records = read_json(data, name)
         ended = _parse_time(run.finished)
         at = at if ended is None else int(ended * 1e9)
-        known = {name: value for name, value in vars(run).items() if name != "machine"}
-        runs = [resume.RunEntry(**known, at=at)]
+        runs = [resume.RunEntry(**vars(run), at=at)]
     else:
         raise UsageError(
             f"the suffix of {name!r} is not that of a report that can be read",

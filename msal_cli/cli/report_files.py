@@ -27,8 +27,7 @@ from msal_cli.storage.regular import LOOKED_AT, open_regular
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.report.data import Run
+    from msal_cli.job.records import MeshRecord, Run
     from msal_cli.report.html import Gallery
 
 

@@ -1,4 +1,5 @@
-"""What is known of a file after msal has dealt with it: denoised, inspected or compared.
+"""What is known of a file after msal has dealt with it: denoised, inspected or compared; and of a
+run over many.
 
 A record is made by ``pipeline`` (or, for a file whose worker died, by ``batch``) and only read
 afterwards: every report is a reader of records.  Fields may be added; none is ever removed or
@@ -505,6 +506,25 @@ class ComparisonRecord(ScreenRepr):
     warnings: tuple[str, ...] = known("what a user should know although they were compared", ())
     gates: tuple[GateResult, ...] = known("what became of each gate; empty if there was none", ())
     error: Failure | None = known("why the files were not compared; null if they were")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One call of the program; times are to the millisecond."""
+
+    version: str = required("version of msal")
+    command: tuple[str, ...] = required("the command as it was given, program name first")
+    settings: Mapping[str, Any] = required(
+        "what decides the output beside the input: method, parameters, conversion"
+    )
+    started: str = required("when the run began, UTC, ISO 8601")
+    finished: str = required("when it ended, UTC, ISO 8601")
+    seconds: float = required("wall-clock seconds between the two")
+    interrupted: bool = known("true if the run was ended before all files were dealt with", False)
+    machine: Mapping[str, str] = field(
+        default_factory=dict,
+        metadata=about("system, cores and libraries, by name; empty where they are not known"),
+    )
 
 
 # Records as plain data: dicts, lists, texts, numbers

@@ -26,9 +26,9 @@ from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import escape_for_display, shorten_name
-from msal_cli.job.records import DONE, MeshRecord
+from msal_cli.job.records import DONE, MeshRecord, Run
 from msal_cli.report import facts
-from msal_cli.report.data import Run, plain, totals
+from msal_cli.report.data import plain, totals
 
 MAX_BYTES = 900_000
 """Bytes of the largest report: below the 1 MiB that the summary of a step may have."""

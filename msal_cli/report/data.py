@@ -1,4 +1,4 @@
-"""Reports for programs: what a run is, its totals, and records as JSON, JSON Lines and CSV.
+"""Reports for programs: the totals of a run, and records as JSON, JSON Lines and CSV.
 
 JSON is one document (schema ``msal.report/1``) with the run, totals and records; JSON Lines are
 the records alone, in the order of the inputs.  Both can be read back.
@@ -18,7 +18,7 @@ import types
 import typing
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import FormatError
@@ -27,10 +27,9 @@ from msal_cli.job.records import (
     DONE,
     SCHEMA,
     MeshRecord,
-    about,
+    Run,
     as_data,
     from_data,
-    known,
     required,
     value_at,
 )
@@ -60,25 +59,6 @@ COMMON_COLUMNS = (
     *("error.code", "error.message", "error.where", "error.hint"),
 )
 """The columns that people sort and filter by."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One call of the program; times are to the millisecond."""
-
-    version: str = required("version of msal")
-    command: tuple[str, ...] = required("the command as it was given, program name first")
-    settings: Mapping[str, Any] = required(
-        "what decides the output beside the input: method, parameters, conversion"
-    )
-    started: str = required("when the run began, UTC, ISO 8601")
-    finished: str = required("when it ended, UTC, ISO 8601")
-    seconds: float = required("wall-clock seconds between the two")
-    interrupted: bool = known("true if the run was ended before all files were dealt with", False)
-    machine: Mapping[str, str] = field(
-        default_factory=dict,
-        metadata=about("system, cores and libraries, by name; empty where they are not known"),
-    )
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,11 @@ from msal_cli.job.records import (
     InfoRecord,
     MeshRecord,
     NoiseEstimate,
+    Run,
     SelfIntersections,
     value_at,
 )
-from msal_cli.report.data import Run, Totals, flatten, known_values, plain
+from msal_cli.report.data import Totals, flatten, known_values, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]
 
@@ -267,31 +268,27 @@ class ProblemTable(NamedTuple):
 
     title: str
     heads: tuple[str, ...]
-    rows: Sequence[tuple[MeshRecord, tuple[str, ...]]]
+    rows: list[tuple[MeshRecord, tuple[str, ...]]]
 
 
 def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
     """What a reader has to look at, by kind; none without rows."""
-    failed = [
-        (record, (failure_text(record.error), record.error.hint))
-        for record in worst
-        if record.error is not None
-    ]
-    broken = [(record, (gate_values(gate),)) for record in worst for gate in list_broken(record)]
-    warned = [(record, (warning,)) for record in worst for warning in record.warnings]
-    unmeasured = [
-        (record, (failure_text(error),))
-        for record in worst
-        if (error := value_at(record, "reference.error")) is not None
-    ]
-    unsure = [(record, (text,)) for record in worst if (text := unsure_text(record))]
-    tables = (
-        ProblemTable("Failed", ("reason", "what to do"), failed),
-        ProblemTable("Broken gates", ("gate",), broken),
-        ProblemTable("Warnings", ("warning",), warned),
-        ProblemTable("No comparison with the reference", ("reason",), unmeasured),
-        ProblemTable("Look at these", ("noise or texture",), unsure),
+    failed, broken, warned, unmeasured, unsure = tables = (
+        ProblemTable("Failed", ("reason", "what to do"), []),
+        ProblemTable("Broken gates", ("gate",), []),
+        ProblemTable("Warnings", ("warning",), []),
+        ProblemTable("No comparison with the reference", ("reason",), []),
+        ProblemTable("Look at these", ("noise or texture",), []),
     )
+    for record in worst:
+        if record.error is not None:
+            failed.rows.append((record, (failure_text(record.error), record.error.hint)))
+        broken.rows.extend((record, (gate_values(gate),)) for gate in list_broken(record))
+        warned.rows.extend((record, (warning,)) for warning in record.warnings)
+        if (error := value_at(record, "reference.error")) is not None:
+            unmeasured.rows.append((record, (failure_text(error),)))
+        if text := unsure_text(record):
+            unsure.rows.append((record, (text,)))
     return [table for table in tables if table.rows]
 
 

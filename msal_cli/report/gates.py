@@ -200,7 +200,7 @@ class _Parser:
         self.names: dict[str, Quantity] = {}
         self.tested: set[str] = set()
 
-    def parse(self) -> _Meaning:
+    def parse(self) -> Callable[[Any], Value]:
         if len(self._text) > MAX_LENGTH:
             raise self._error(MAX_LENGTH, f"it is longer than {MAX_LENGTH} characters")
         code = _TOKEN.sub(self._replace_number, self._text)
@@ -210,7 +210,7 @@ class _Parser:
             at = getattr(error, "offset", None) or 1
             rest = self._text[at - 1 :]
             raise self._error(at, f"{rest!r} cannot be read" if rest else "it ends early") from None
-        return self._truth(self._read(tree), "a gate compares")
+        return self._truth(self._read(tree), "a gate compares").value
 
     def _error(self, at: int, why: str, hint: str = _HINT) -> UsageError:
         return UsageError(f"the gate {self._text!r}, column {at}: {why}", hint=hint)
@@ -403,7 +403,7 @@ class Gate:
     expression: str
     verdict: Callable[[Any], Value]
     quantities: Mapping[str, Quantity]
-    tested: frozenset[str]
+    tested: set[str]
 
 
 def parse_gates(
@@ -418,8 +418,7 @@ def parse_gates(
     gates = []
     for text in expressions:
         parser = _Parser(text, quantities(kind), file_unit)
-        meaning = parser.parse()
-        gates.append(Gate(text, meaning.value, parser.names, frozenset(parser.tested)))
+        gates.append(Gate(text, parser.parse(), parser.names, parser.tested))
     return tuple(gates)
 
 

@@ -29,12 +29,12 @@ from msal_cli.codecs.colours import colour_table, map_colours
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.job.records import WITH_OUTPUT, MeshRecord
+from msal_cli.job.records import WITH_OUTPUT, MeshRecord, Run
 from msal_cli.job.room import open_mesh
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report import facts
-from msal_cli.report.data import Run, Totals, known_values, plain, totals
+from msal_cli.report.data import Totals, known_values, plain, totals
 from msal_cli.report.facts import Fact, Tone
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, escape, to_base64

@@ -6,10 +6,10 @@ from typing import Any
 
 from msal_cli.errors import format_count
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
-from msal_cli.job.records import DONE, InfoRecord, MeshRecord, Planned
+from msal_cli.job.records import DONE, InfoRecord, MeshRecord, Planned, Run
 from msal_cli.machine import megabytes
 from msal_cli.report import facts
-from msal_cli.report.data import Run, known_values, totals
+from msal_cli.report.data import known_values, totals
 from msal_cli.report.facts import Fact, Line, Tone, file_name
 
 MAX_LINES = 8

@@ -13,7 +13,7 @@ from random import Random
 from hypothesis import strategies as st
 
 from msal_cli.job import records
-from msal_cli.report.data import Run
+from msal_cli.job.records import Run
 
 TEXTS = ["=1+1", "\ufffe", "\\udcff", "\\u005c", "a\r\nb", "'quoted", 'a"b,c', "\u2028", ""]
 FLOATS = [0.0, -0.0, 1.5, -3.0, 0.1, 1e300, -1.7e308, 5e-324, math.nan, math.inf, -math.inf]
