@@ -166,36 +166,31 @@ def soften_choice(
     from msal_cli.auto.candidates import wiener_al
 
     despiked = chosen.known.get("despiked")
+    parameters: dict[str, Any] = {}
     if share == 0.0:
-        made = replace(
-            choice,
-            reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
-            risk_edges=None,
-            repeat=options_of(None, {}),
-            auto_seconds=None,
+        despiked = None if despiked is None else 0
+        name, label, chosen = NONE, "", replace(chosen, mesh=given, share=1.0)
+        which, what = "every choice", "left as it is"
+    else:
+        level = round(share * estimate_noise(chosen.mesh).mean_edges, 4)
+        name, parameters, label = build_recipe(
+            [wiener_al(level)], np.ones(1), level, share=chosen.share
         )
-        known = {
-            "method": MethodUsed(NONE, {}),
-            "despiked": None if despiked is None else 0,
-            "choice": made,
-        }
-        why = f"every choice would damage the mesh ({harm.reason}): left as it is"
-        return Preparation(given, None, {}, known, (why,))
-    level = round(share * estimate_noise(chosen.mesh).mean_edges, 4)
-    name, parameters, label = build_recipe(
-        [wiener_al(level)], np.ones(1), level, share=chosen.share
-    )
-    method = methods.find(name)
-    what = f"smoothed for noise of {level:.2g} e only"
+        which, what = "the first choice", f"smoothed for noise of {level:.2g} e only"
+    method = None if name == NONE else methods.find(name)
     repeat = options_of(method, parameters)
     made = replace(
         choice,
-        reason=f"{choice.reason}; rejected, for {harm.reason}; {what}; {label}",
+        reason="; ".join(
+            filter(None, (choice.reason, f"rejected, for {harm.reason}", what, label))
+        ),
         risk_edges=None,
         repeat=(*repeat, "--despike") if despiked else repeat,
+        auto_seconds=None if method is None else choice.auto_seconds,
     )
-    known = chosen.known | {"method": MethodUsed(name, parameters), "choice": made}
-    why = f"the first choice would damage the mesh ({harm.reason}): {what}"
+    fields = {"method": MethodUsed(name, parameters), "choice": made, "despiked": despiked}
+    why = f"{which} would damage the mesh ({harm.reason}): {what}"
+    known = chosen.known | fields
     return replace(chosen, method=method, parameters=parameters, known=known, warnings=(why,))
 
 

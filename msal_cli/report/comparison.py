@@ -99,11 +99,6 @@ def list_facts(record: ComparisonRecord) -> Iterator[Fact]:
     """What is between two meshes, in words; warnings at the end."""
     angles = (record.mean_angular_error_deg, record.max_angular_error_deg)
     is_surface = record.correspondence == "surface"
-    distances = (
-        ("displacement", record.displacement),
-        ("after to before", record.distance_to_before),
-        ("before to after", record.distance_to_after),
-    )
     volume, pairs = record.volume, record.self_intersections
     change = "" if volume is None else f"- {volume.reason}"
     if volume is not None and volume.change is not None:
@@ -113,7 +108,9 @@ def list_facts(record: ComparisonRecord) -> Iterator[Fact]:
         ("compared", "surfaces only: the faces are not the same" if is_surface else ""),
         ("normal angle", _join("mean {:.4g}, max {:.4g} degrees", *angles)),
         ("vertex error", figure(record.vertex_error_percent, ".4g", " % of the mean edge")),
-        *((title, _distance_text(lengths)) for title, lengths in distances),
+        ("displacement", _distance_text(record.displacement)),
+        ("after to before", _distance_text(record.distance_to_before)),
+        ("before to after", _distance_text(record.distance_to_after)),
         ("Hausdorff", _join("{:.4g} ({:.4g} e)", record.hausdorff, record.hausdorff_edges)),
         ("volume", change),
         ("area", figure(record.area_change_percent, "+.4g", " %", "-")),

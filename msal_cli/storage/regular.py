@@ -42,20 +42,17 @@ def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
     # Asked before, because opening alone sets some devices in motion, and after, because the name
     # may have got another file in between.
     _require_regular(os.stat(path).st_mode)
-    handle = os.open(path, os.O_RDONLY | _FLAGS)
-    try:
-        _require_regular(os.fstat(handle).st_mode)
-        return open(handle, "rb", buffering=buffering)
-    except BaseException:
-        os.close(handle)
-        raise
+    return open(_open(path, os.O_RDONLY), "rb", buffering=buffering)
 
 
 def open_own(path: str | os.PathLike[str], flags: int = 0) -> int:
     """The handle of a file of msal's own, to read and write it; OSError for a link, which may lead
     anywhere, and for what is no regular file."""
-    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | _FLAGS
-    handle = os.open(path, flags, 0o644)
+    return _open(path, flags | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+
+
+def _open(path: str | os.PathLike[str], flags: int) -> int:
+    handle = os.open(path, flags | _FLAGS, 0o644)
     try:
         _require_regular(os.fstat(handle).st_mode)
     except OSError:
