@@ -153,12 +153,12 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
         if given.vertices is not before.vertices:
             ways = measures.displacement(given, after)
             change = enclosed.change(given, after, measures.measure_surface_change(given, after))
-        edge = before.mean_edge_length
         harm = measures.excessive_change(
+            given,
+            after,
             change,
-            edge,
             level,
-            ways.p95 / edge,
+            ways.p95 / before.mean_edge_length,
             has_volume=not objection,
             leeway=measures.NAMED_LEEWAY if is_named else 1.0,
         )

@@ -115,10 +115,10 @@ def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order)
 
 def excess_of(before, after, noise, has_volume=True, leeway=1.0):
     change = measures.measure_surface_change(before, after)
-    edge = before.mean_edge_length
     ways = np.linalg.norm(after.vertices - before.vertices, axis=1)
-    p95 = float(np.quantile(ways, 0.95)) / edge
-    return measures.excessive_change(change, edge, noise, p95, has_volume=has_volume, leeway=leeway)
+    p95 = float(np.quantile(ways, 0.95)) / before.mean_edge_length
+    more = {"has_volume": has_volume, "leeway": leeway}
+    return measures.excessive_change(before, after, change, noise, p95, **more)
 
 
 def test_what_noise_does_not_explain_is_harm():
@@ -128,6 +128,9 @@ def test_what_noise_does_not_explain_is_harm():
     assert excess_of(mesh, smaller, 0.01).reason.startswith("the volume changed by -3.0 %")
     shifted = mesh.with_vertices(mesh.vertices + [0.2 * mesh.mean_edge_length, 0.0, 0.0])
     assert excess_of(mesh, shifted, 0.01).code == measures.MOVES
+    turned = mesh.vertices + 0.03 * np.cross(mesh.vertices, [0.0, 0.0, 1.0])
+    assert measures.displacement(mesh, mesh.with_vertices(turned)).p95 > 0.1 * mesh.mean_edge_length
+    assert excess_of(mesh, mesh.with_vertices(turned), 0.01) is None, "within the surface"
     assert excess_of(mesh, smaller, 0.01, leeway=measures.NAMED_LEEWAY) is None
     stretched = mesh.with_vertices(mesh.vertices * [1.05, 1.0, 1.0])
     assert excess_of(mesh, stretched, 0.01, has_volume=False).code == measures.AREA
@@ -136,7 +139,7 @@ def test_what_noise_does_not_explain_is_harm():
 
 @pytest.mark.parametrize("level", [0.05, 0.1, 0.3, 0.5, 0.7])
 @pytest.mark.parametrize("kind", ["gaussian-normal", "gaussian"])
-@pytest.mark.parametrize("shape", [ball, lambda: torus(96, 48)])
+@pytest.mark.parametrize("shape", [ball, lambda: torus(96, 48), lambda: torus(400, 12)])
 def test_the_true_surface_is_no_harm(shape, kind, level):
     clean = prepare_mesh(*shape()).mesh
     noisy = clean.with_vertices(ground_truth.add_plain_noise(clean, kind, level, seed=3))
@@ -157,6 +160,14 @@ def test_flips_on_a_smooth_mesh_are_harm():
     assert found is not None
     assert found.code == measures.FLIPPED
     assert found.reason.startswith(f"{n_flipped} of {len(mesh.faces)} faces flipped (")
+    # Half of the faces are needles: they flip by next to nothing, and have next to no area.
+    squeezed = mesh.vertices.copy()
+    squeezed[:, 1] -= 0.999 * (np.arange(400) // 20 % 2)
+    beyond = squeezed - np.outer(np.arange(400) // 20 % 2, [0.0, 0.002, 0.0])
+    needles = mesh.with_vertices(squeezed)
+    assert harm_of(needles, mesh.with_vertices(beyond), has_volume=False) is None
+    change = measures.measure_surface_change(needles, mesh.with_vertices(beyond))
+    assert change.flipped_faces > 0.4 * len(mesh.faces)
 
 
 @pytest.mark.parametrize("level", [0.2, 0.4, 0.6])
@@ -172,6 +183,7 @@ def test_unfolding_what_noise_folded_is_no_harm(level):
 def test_clean_shapes_have_no_folds_and_open_ones_no_volume_to_lose(shape):
     mesh = prepare_mesh(*shape()).mesh
     assert measures.folded_faces(mesh) == 0
+    assert measures.explained_area(mesh, 0.0) == 0.0
     assert harm_of(mesh, mesh.with_vertices(mesh.vertices * 0.1), has_volume=False) is None
 
 
