@@ -132,6 +132,10 @@ MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
 """Where 95 % and 5 % of the edges are below lengths with a greater ratio, as in exports of CAD and
 after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other noise this."""
 
+MIN_AXIS_GAIN = -0.15
+"""By how much the axis explains the variances better than the normals do, below which noise along
+it needs ``SURE_SPREAD``: coarse models of faces are so."""
+
 SURE_UNNAMED = 0.98
 """The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
 
@@ -520,7 +524,8 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
 
     A trace of noise that neighbours share is hardly seen, and relief is, once it is gone; detail on
     a part of a design is more frequent than noise on a part of a scan, what neighbours share has a
-    floor where it is noise, and blocks on a grid are designs as well.
+    floor where it is noise, noise along an axis is less where the surface is, and blocks on a grid
+    are designs as well.
     """
     if verdict.kind == "view" and evidence.axis is not None:
         level = min(level, evidence.axis.best_level)
@@ -534,7 +539,8 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
     is_patchy = verdict.kind == "correlated" and colour is not None and not colour.is_floor
     if is_detail or is_patchy or verdict.kind == "staircase":
         return SURE_DESIGN
-    if is_uneven:
+    axis = evidence.axis if verdict.kind == "view" else None
+    if is_uneven or (axis is not None and axis.gain < MIN_AXIS_GAIN):
         return SURE_SPREAD
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
 
