@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import difflib
-import inspect
 import logging
 import os
 import queue
@@ -284,8 +283,7 @@ def _parse(
         raise UsageError(f"parameters = {parameters!r} is not allowed", hint='give {"K": 0.5}')
     if unit not in (None, *METRES):
         raise UsageError(f"there is no unit {unit!r}", hint=f"give one of {', '.join(METRES)}")
-    own = inspect.signature(function).parameters
-    known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}
+    known = {name.casefold(): name for name in (*given, *MethodParameters.__annotations__)}
     for name in more:
         if name not in known.values():
             close = difflib.get_close_matches(name.casefold(), known, n=1)

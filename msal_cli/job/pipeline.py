@@ -18,15 +18,7 @@ import numpy as np
 from msal_cli import machine
 from msal_cli.codecs import header
 from msal_cli.errors import InputError, InternalError, format_count
-from msal_cli.job import changes, output, records, room
-from msal_cli.job.choice import (
-    MILDER,
-    Preparation,
-    choose_weaker,
-    looks_at_mesh,
-    prepare,
-    soften_choice,
-)
+from msal_cli.job import changes, choice, output, records, room
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import CHOOSING, NO_LIMITS, SELF_INTERSECTIONS, Limits, Settings, Task
 from msal_cli.kernels import array_files
@@ -274,18 +266,20 @@ class FileRun:
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
         # Where the same is run on every mesh, choosing takes no time.
-        with self.stage("choose") if looks_at_mesh(settings) else nullcontext():
-            chosen = first = prepare(mesh, settings, functools.partial(self._on_progress, "choose"))
+        with self.stage("choose") if choice.looks_at_mesh(settings) else nullcontext():
+            chosen = first = choice.prepare(
+                mesh, settings, functools.partial(self._on_progress, "choose")
+            )
         self.know(**chosen.known)
         self.warn(*chosen.warnings)
-        choice = self.record.choice
+        choice_made = self.record.choice
         estimate = functools.partial(estimate_noise, chosen.mesh)
         # A choice knows it; else one core estimates it while the others smooth.
         is_beside = (
-            choice is None and is_worth_it(len(mesh.vertices)) and not array_files.are_used()
+            choice_made is None and is_worth_it(len(mesh.vertices)) and not array_files.are_used()
         )
         wait_for_noise = machine.in_background(estimate) if is_beside else estimate
-        milder = iter(MILDER)
+        milder = iter(choice.MILDER)
         while True:
             result, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
@@ -301,18 +295,18 @@ class FileRun:
                     # A part of a result is taken only where all of it would be.
                     whole = start + (result - start) / chosen.share
                 del result
-                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
+                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice_made is None)
                 harm = measured.harm
                 if whole is not None:
                     harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
-            if harm is None or choice is None:
+            if harm is None or choice_made is None:
                 break
-            weaker = choose_weaker(mesh, settings, choice, harm)
+            weaker = choice.choose_weaker(mesh, settings, choice_made, harm)
             if weaker is not None:
                 settings, chosen = weaker
-                choice = chosen.known["choice"]
+                choice_made = chosen.known["choice"]
             elif (share := next(milder, None)) is not None:
-                chosen = soften_choice(mesh, chosen, choice, harm, share)
+                chosen = choice.soften_choice(mesh, chosen, choice_made, harm, share)
             else:
                 break
             self.know(**chosen.known)
@@ -321,7 +315,7 @@ class FileRun:
         with self.stage("measure"):
             self.know_changes(measured)
             noise, displacement = self.record.noise_estimate, self.record.displacement
-            if choice is None and chosen.method is not None and noise and displacement:
+            if choice_made is None and chosen.method is not None and noise and displacement:
                 # The user named the method, which may harm the mesh.
                 used = (chosen.method, chosen.parameters)
                 self.warn(*changes.method_warnings(*used, noise, displacement, is_ruled))
@@ -337,7 +331,7 @@ class FileRun:
         return vertices
 
     def _run_method(
-        self, chosen: Preparation, ready: PreparedMesh, constraints: Constraints | None
+        self, chosen: choice.Preparation, ready: PreparedMesh, constraints: Constraints | None
     ) -> tuple[Floats, Floats | None, bool]:
         """New positions (n, 3), lambda of the first sweep (n,) where fields need it, and whether
         one spike rules it."""

@@ -410,7 +410,6 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 
 def _draw_legend(reach: float) -> str:
-    """The elements that say what the colours of deviations mean."""
     shades = colour_table("diverging")[:: 256 // _SHADES]
     size = 100 / len(shades)
     rects = [
