@@ -6,8 +6,6 @@ log goes to the logger ``msal``.  Errors are those of ``msal_cli.errors``.
 
 # ``as`` makes a name one of this module for type checkers, too.
 # ruff: noqa: I001
-from __future__ import annotations
-
 import logging
 
 from msal_cli.api.denoise import (

@@ -5,8 +5,6 @@ not depend on the file system.  Names are only ever compared and joined, never i
 name that the system allows (line breaks, bytes that are no UTF-8, a leading dash) is fine.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import logging
 import os

@@ -5,8 +5,6 @@ files that are one are found, then the joined mesh is denoised in memory, and th
 read again and written with its part of the new positions.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace

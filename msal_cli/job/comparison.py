@@ -4,8 +4,6 @@ Like ``pipeline``, ``inspect_file`` and ``compare_files`` never raise for a file
 becomes a record with an error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import fields, replace

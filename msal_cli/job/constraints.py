@@ -4,21 +4,17 @@ A limit and pins hold whatever the method does.  Methods that know of pins treat
 as fixed during their sweeps, and trust goes into the data term of those that have one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import ContentError
 from msal_cli.job.settings import AXES, COMPARISONS, Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
-
-if TYPE_CHECKING:
-    from msal_cli.arrays import Flags, Floats
-    from msal_cli.codecs.mesh_file import Surface
-    from msal_cli.mesh import Mesh, PreparedMesh
+from msal_cli.mesh import Mesh, PreparedMesh
 
 # Of a sum of coordinates, and of the distance between two points, relative to the largest of them.
 _ROUNDING = 2.0**-50

@@ -4,30 +4,26 @@ Each has a name, and colours that a quantile of its values bounds, so that a few
 leave all the rest in one colour.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
 from msal_cli.analysis.noise_estimate import estimate_regions
+from msal_cli.arrays import Floats
 from msal_cli.codecs import colours, ply_write
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import OutputError
 from msal_cli.job.records import FieldsFile
+from msal_cli.mesh import PreparedMesh
 from msal_cli.storage.atomic import Sources, write_whole
 from msal_cli.storage.regular import Buffer, open_regular
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
-
-if TYPE_CHECKING:
-    from msal_cli.arrays import Floats
-    from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import PreparedMesh
 
 SUFFIX = ".fields.ply"
 """What takes the place of an output's suffix."""
