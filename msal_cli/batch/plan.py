@@ -7,9 +7,9 @@ import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
+from msal_cli.batch.lock import Shard
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.settings import (
     DEFAULT_BACKUP,
@@ -21,9 +21,6 @@ from msal_cli.job.settings import (
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url
-
-if TYPE_CHECKING:
-    from msal_cli.batch.lock import Shard
 
 
 @dataclass(frozen=True)

@@ -5,20 +5,16 @@ to see as events.  ``index`` is the task's position in the plan.  A task whose w
 again, so ``Started`` can come twice for one index; ``Finished`` comes exactly once for every file.
 """
 
-from __future__ import annotations
-
 import collections
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
+from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, method_bytes_per_face
 from msal_cli.machine import available_bytes
-
-if TYPE_CHECKING:
-    from msal_cli.job.records import Failure, MeshRecord
 
 _SHARE = 0.8
 

@@ -31,7 +31,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field, replace
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from msal_cli.batch import schedule
 from msal_cli.batch.schedule import Failed, Message, Work
@@ -39,9 +39,6 @@ from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST, Settings, Task
 from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
-
-if TYPE_CHECKING:
-    from msal_cli.job.pipeline import OnProgress
 
 Denoise = Callable[..., MeshRecord]
 """What does one file, such as ``pipeline.denoise_file``."""
@@ -652,7 +649,7 @@ class _ParentLog(logging.Handler):
 
 
 def denoise_in_worker(
-    task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
+    task: Task, common: tuple[Denoise, Settings], on_progress: Callable[[str, int, int], None]
 ) -> MeshRecord:
     """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
     alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
