@@ -181,7 +181,7 @@ def _conclude(
     """
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report import comparison, data
-    from msal_cli.report.facts import file_name
+    from msal_cli.report.facts import Line, file_name, gate_text, list_broken
     from msal_cli.report.gates import is_any_broken, with_gates
 
     known = earlier or {}
@@ -218,7 +218,11 @@ def _conclude(
         if request.as_json or is_pair:
             for record in failures:
                 _say_failure(record)
-        console.say_lines(comparison.broken_gates(records))
+        console.say_lines(
+            Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
+            for record in records
+            for gate in list_broken(record)
+        )
         for name in vanished:
             console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
     finally:

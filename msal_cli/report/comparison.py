@@ -84,13 +84,6 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
     yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
 
 
-def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
-    """A line for every gate that a pair breaks, with the value."""
-    for record in records:
-        for gate in facts.list_broken(record):
-            yield Line(f"{file_name(record.after)}: {facts.gate_text(gate)}", "bad")
-
-
 def _pair_name(record: ComparisonRecord) -> str:
     return f"{file_name(record.before)} and {file_name(record.after)}"
 
