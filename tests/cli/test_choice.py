@@ -83,7 +83,7 @@ def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, co
     denoise(scan, "-o", tmp_path / "by hand.ply", *record["choice"]["repeat"])
     assert (tmp_path / "mild.ply").read_bytes() == (tmp_path / "by hand.ply").read_bytes()
     # Where nothing milder would do, the input comes back.
-    monkeypatch.setattr("msal_cli.job.pipeline.MILDER", (0.0,))
+    monkeypatch.setattr("msal_cli.job.choice.MILDER", (0.0,))
     record = denoise(scan, "-o", tmp_path / "out.ply", *words)
     assert (record["status"], record["method"]["name"]) == ("unchanged", "none")
     assert (tmp_path / "out.ply").read_bytes() == scan.read_bytes()
