@@ -487,7 +487,8 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
         texts.append(f"unsure: {readings_text(noise)}")
     if noise.negligible:
         is_wanted = isinstance(record, MeshRecord) and is_filtered(record)
-        words = "hardly any, filtered all the same" if is_wanted else "none to speak of"
+        words = "none for sure" if noise.unsure else "none to speak of"
+        words = "hardly any, filtered all the same" if is_wanted else words
         return [f"{level}: {words}", *texts]
     if noise.words:
         texts.append(f"{100.0 * noise.confidence:.0f} % sure: {noise.basis}")

@@ -313,6 +313,7 @@ def info_table(records: Iterable[InfoRecord], paths: Sequence[str], width: int) 
             yield Line(join("file", *heads), "faint")
         is_empty, noise = False, record.noise_estimate
         problems = (
+            "noise or texture" if noise is not None and noise.unsure else "",
             facts.defects_text(record),
             format_count(record.self_intersections or None, *pairs),
             format_count(len(record.warnings) or None, "warning"),

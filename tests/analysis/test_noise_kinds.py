@@ -110,6 +110,14 @@ def test_a_plane_wave_explains_itself(smooth, monkeypatch):
             assert abs(np.log(length / true)) < np.log(patterns.STEP)
 
 
+def test_edges_that_rounding_made_flat_are_no_design():
+    file = codecs.open_mesh((SAMPLES / "toadstool_noisy.ply").read_bytes(), "a.ply")
+    far = (file.vertices + 1e6).astype(np.float32)
+    mesh = prepare_mesh(far, file.faces).mesh
+    assert noise_estimate.has_flat_edges(mesh)
+    assert summarize(noise_estimate.estimate_noise(mesh))[0] == "white"
+
+
 @pytest.mark.parametrize("rings", [1, 2, 3])
 def test_noise_that_neighbours_share(smooth, rings):
     mesh, noise = with_noise(smooth, "correlated", rings=rings)

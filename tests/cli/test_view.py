@@ -21,17 +21,9 @@ def test_options_change_the_picture(scans):
         assert made.exit_code == 0, made.stderr
         return (scans / "o.png").read_bytes()
 
-    options = [
-        (),
-        ("--turn", "70"),
-        ("--tilt", "-40"),
-        ("--view", "top"),
-        ("--up=-x",),
-        ("--shading", "flat"),
-        ("--size", "81"),
-        (scans / "b.ply",),
-    ]
-    assert len({picture(*one) for one in options}) == len(options)
+    given = ",--turn 70,--tilt -40,--view top,--up=-x,--shading flat,--size 81"
+    pictures = {picture(*one.split()) for one in given.split(",")} | {picture(scans / "b.ply")}
+    assert len(pictures) == 8
 
 
 def test_without_a_name_the_page_is_in_the_current_folder(scans, tmp_path, monkeypatch):
