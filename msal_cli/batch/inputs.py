@@ -110,7 +110,7 @@ def discover_inputs(
     output = None if output is None else urls.normalize_url(output)
     own_output = None if output is None or is_url(output) else str(resolve(Path(output)))
     inputs = [urls.normalize_url(text) for text in inputs]
-    types = [_input_type(text) for text in inputs]
+    types = [find_type(text) for text in inputs]
     folders = {
         text if is_url(text) else str(Path(text))
         for text, (input_type, _) in zip(inputs, types, strict=True)
@@ -158,7 +158,7 @@ def discover_inputs(
     return tuple(everything.values())
 
 
-def _input_type(text: str) -> tuple[str, ObjectMark | None]:
+def find_type(text: str) -> tuple[str, ObjectMark | None]:
     """``file``, ``folder`` or ``pattern``, and the mark of an object.
 
     In a store only what may be a single object is looked up; a folder is listed later.

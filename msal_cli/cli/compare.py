@@ -90,7 +90,7 @@ def command(request: Request) -> int:
     all can be compared.
     """
     from msal_cli.batch.inputs import discover_inputs
-    from msal_cli.cli.report_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target, require_files
     from msal_cli.job.comparison import compare_files, open_mesh_file
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.comparison import read_comparisons
@@ -102,6 +102,7 @@ def command(request: Request) -> int:
         raise UsageError("A and B are files", hint="write the stream to a file first")
     earlier = None
     if (baseline := request.baseline) is not None:
+        require_files((baseline,))
         earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
     request.format = resolve_format(request.format)
     before, others, heatmap = request.before, request.others, request.heatmap

@@ -94,11 +94,13 @@ def command(request: Request) -> int:
             console.put_bytes(data.render_json(run, records))
     if not is_checked:
         return console.SUCCESS
-    # What is not finished counts as failed.
-    n_lost = sum(record.status in ("failed", "planned") for record in records)
+    statuses = [record.status for record in records]
     is_broken = is_any_broken(records)
-    status = console.status_of_files(len(records), n_lost, is_gate_failed=is_broken)
-    return console.worst_status(status, console.SOME_FAILED) if remarks else status
+    status = console.status_of_files(
+        len(records), statuses.count("failed"), is_gate_failed=is_broken
+    )
+    is_unfinished = "planned" in statuses or bool(remarks)
+    return console.worst_status(status, console.SOME_FAILED) if is_unfinished else status
 
 
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
+from msal_cli.cli.options import STREAM
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.output import write_output
 from msal_cli.job.settings import DEFAULT_BACKUP, is_mesh_name
@@ -131,6 +132,17 @@ REPORT = (
 """How the reports of msal begin, as bytes: the longest sign of a Markdown report has six."""
 
 _ANOTHER = "give it another name"
+
+
+def require_files(names: Iterable[str]) -> None:
+    """UsageError unless each of the names is that of a file: of no folder, stream or nothing."""
+    from msal_cli.batch.inputs import find_type
+
+    for name in names:
+        if name == STREAM:
+            raise UsageError("- is no file", hint="write the stream to a file first")
+        if (kind := find_type(name)[0]) != "file":
+            raise UsageError(f"{name!r} is a {kind}", hint="name one file", path=name)
 
 
 def refuse_target(

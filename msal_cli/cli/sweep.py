@@ -12,7 +12,7 @@ import click
 
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_method, group
+from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, complete_method, group
 from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
@@ -70,7 +70,7 @@ def command(request: Request) -> int:
     """
     from msal_cli import methods
     from msal_cli.auto.risk import estimate_errors
-    from msal_cli.cli.report_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target, require_files
     from msal_cli.job.comparison import open_mesh_file, surface_of
     from msal_cli.job.output import write_output
     from msal_cli.job.room import room_for_files
@@ -81,9 +81,8 @@ def command(request: Request) -> int:
     view = read_view(request)
     if os.path.splitext(output)[1].lower() != ".png":
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
-    if STREAM in (source, reference):
-        raise UsageError("FILE is a file", hint="write the stream to a file first")
     names = [source] if reference is None else [source, reference]
+    require_files(names)
     refuse_target(output, "the picture", names)
     format = options.resolve_format(request.format)
     options.check_threads_variable()

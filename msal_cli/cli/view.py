@@ -92,7 +92,7 @@ def command(request: Request) -> int:
     """
     import shlex
 
-    from msal_cli.cli.report_files import REPORT, refuse_target
+    from msal_cli.cli.report_files import REPORT, refuse_target, require_files
     from msal_cli.job.room import room_for_files
     from msal_cli.report.comparison import list_facts
     from msal_cli.storage import atomic
@@ -100,8 +100,7 @@ def command(request: Request) -> int:
     from msal_cli.view.panels import png_bytes
 
     names = (request.before,) if request.after is None else (request.before, request.after)
-    if STREAM in names:
-        raise UsageError("A and B are files", hint="write the stream to a file first")
+    require_files(names)
     if request.after is None and request.colours == "deviation":
         raise UsageError("--colours deviation needs a mesh B", hint="name the one to compare with")
     format, output = resolve_format(request.format), request.output

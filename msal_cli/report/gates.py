@@ -115,6 +115,10 @@ class Quantity:
             why = "count them with --check self-intersections"
         elif self.part in ("tile_gap", "tile_set"):
             why = "files are denoised as one with --tile-set"
+        elif self.part == "choice":
+            why = "the method was named, and none was chosen"
+        elif self.name in ("clamped_vertices", "locked_vertices"):
+            why = f"without {'--max-move' if self.name[0] == 'c' else '--lock'} none is"
         elif self.name == "despiked":
             why = "outliers were not looked for, as --despike does"
         return f"{self.name} is not known{f': {why}' if why else ' for this file'}"

@@ -189,7 +189,7 @@ compare a.ply b.ply --heatmap a.ply |
 compare a.ply b.ply --heatmap heat.obj |
 compare a.ply b.ply --heatmap . |
 compare a.ply b.ply --tolerance 2% | --baseline
-1 compare a.ply b.ply --baseline none.json | none.json
+compare a.ply b.ply --baseline none.json | none.json
 
 info - in |
 info - --include '*' |
@@ -211,7 +211,7 @@ sweep a.ply -o g.ply | NAME.png
 sweep a.ply -o notes.txt/g.png --columns K=1 | cannot be written to the folder
 1 sweep a.ply -o g.png --reference open.ply | open.ply & same vertices and faces
 
-1 view missing.ply -o p.png | missing.ply
+view missing.ply -o p.png | missing.ply
 1 view bad.ply -o p.png | bad.ply
 1 view a.ply bad.ply -o p.png | bad.ply
 1 view points.ply -o p.png | E_NO_FACES
@@ -241,10 +241,10 @@ watch s3://bucket/in -o new --idle-exit 1s | folders of this machine
 
 # What is read is a file.
 info pipe.ply | file
-1 view a.ply pipe.ply -o p.png | file
-1 sweep pipe.ply -o g.png | file
+view a.ply pipe.ply -o p.png | file
+sweep pipe.ply -o g.png | file
 compare a.ply pipe.ply | file
-1 compare a.ply a.ply --baseline pipe.json | file
+compare a.ply a.ply --baseline pipe.json | file
 noise pipe.ply -o new.ply | file
 denoise pipe.ply -o - | file
 denoise a.ply -o new.ply --reference pipe.ply | file

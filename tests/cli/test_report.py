@@ -100,6 +100,8 @@ class TestOneFolder:
         one = ran("report", "out", "--check", "-o", "r.md")
         assert one.exit_code == 3
         assert "2 not done" in one.stderr and "did not come to its end" in one.stderr
+        path.write_bytes(b"".join(line for line in kept if b'"done"' not in line))
+        assert ran("report", "out", "--check").exit_code == 3, "nothing failed, nothing is done"
         denoised()
         assert ran("report", "out", "--check", "-o", "r.md").exit_code == 0
         path.write_bytes(b"\0" * 4096)
