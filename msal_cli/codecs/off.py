@@ -44,7 +44,8 @@ def parse(data: Buffer) -> Layout:
     has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
     if dimension:
         kind = (dimension + b"OFF").decode()
-        raise UnsupportedError(f"{kind} files are not read")
+        hint = "write it as OFF, with x, y and z for each vertex"
+        raise UnsupportedError(f"{kind} files are not read", hint=hint)
     if binary:
         raise UnsupportedError("binary OFF is not read")
     words = Words(data, header.end(), comment=b"#")
@@ -57,7 +58,9 @@ def parse(data: Buffer) -> Layout:
     n_extra = int(lengths[:n_vertices].min()) - 3 if n_vertices else 0
     if n_extra < 0:
         short = int(at[int(np.argmin(lengths[:n_vertices]))])
-        raise FormatError("a vertex has fewer than three numbers", where=words.where(short))
+        hint = "a vertex has x, y and z; add a 0 to points of the plane, or export it again"
+        where = words.where(short)
+        raise FormatError("a vertex has fewer than three numbers", where=where, hint=hint)
     n_announced = 3 * has_normals + 2 * has_texture + 4 * has_colours
     if n_behind and n_extra < n_announced - has_colours:
         raise FormatError(

@@ -169,7 +169,10 @@ def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
 
 
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
-    """What to do about a word that is no number: it may have the comma of another language."""
+    """What to do about a word that is no number: it may have the comma of another language, or
+    one that separates it from the next."""
+    if word.endswith(b","):
+        return "numbers are separated by blanks, not by commas"
     return "numbers need a decimal point, not a comma" if b"," in word else otherwise
 
 
