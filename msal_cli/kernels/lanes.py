@@ -12,9 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from msal_cli.kernels import vectors as vec
+from msal_cli.kernels.library import compiled
+
 LANES = np.uint64(8)
 
 _COLUMNS = np.arange(4)
+_0, _1, _2, _MINUS = (np.float32(number) for number in (0.0, 1.0, 2.0, -1.0))
+_TINY = np.float32(1e-30)
 
 
 def fill_lanes(value: Any) -> Any:
@@ -73,3 +78,64 @@ def root(lanes: Any) -> Any:
 
 WRITTEN = {store_lanes: (0,)}
 """The places of arguments that are written to."""
+
+
+@compiled
+def choose_vector(a, b, yes, no):
+    """The vector ``yes`` in the lanes where a > b, else ``no``."""
+    return (
+        choose_greater(a, b, yes[0], no[0]),
+        choose_greater(a, b, yes[1], no[1]),
+        choose_greater(a, b, yes[2], no[2]),
+    )
+
+
+# Eigenvectors of eight symmetric 3 x 3 matrices at once, by Jacobi's rotations.
+
+SWEEPS = 4
+"""Rounds of three rotations: what is left beside the diagonal is below single precision."""
+
+
+@compiled
+def find_axes(tensor):
+    """Unit eigenvectors and eigenvalues, greatest first, of a ``tensor`` xx, xy, xz, yy, yz, zz."""
+    xx, xy, xz, yy, yz, zz = tensor
+    zero, one = fill_lanes(_0), fill_lanes(_1)
+    a, b, c = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    for _ in range(SWEEPS):
+        xx, yy, xy, xz, yz, a, b = _rotate(xx, yy, xy, xz, yz, a, b)
+        xx, zz, xz, xy, yz, a, c = _rotate(xx, zz, xz, xy, yz, a, c)
+        yy, zz, yz, xy, xz, b, c = _rotate(yy, zz, yz, xy, xz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    yy, zz, b, c = _sort(yy, zz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    return a, b, c, xx, yy, zz
+
+
+@compiled
+def _rotate(p, q, off, rest_p, rest_q, first, second):
+    """One rotation of two axes, by the smaller angle that makes ``off`` zero.
+
+    ``p`` and ``q`` are their entries of the diagonal, ``off`` is the one of both, ``rest_p`` and
+    ``rest_q`` those with the third axis.
+    """
+    zero, one, minus = fill_lanes(_0), fill_lanes(_1), fill_lanes(_MINUS)
+    gap = q - p
+    size = choose_greater(zero, gap, gap * minus, gap)
+    double = fill_lanes(_2) * off
+    t = double / (size + root(gap * gap + double * double) + fill_lanes(_TINY))
+    t = choose_greater(zero, gap, t * minus, t)
+    c = one / root(one + t * t)
+    s = t * c
+    change = t * off
+    rests = c * rest_p - s * rest_q, s * rest_p + c * rest_q
+    turned = vec.subtract(vec.times(c, first), vec.times(s, second))
+    second = vec.add(vec.times(s, first), vec.times(c, second))
+    return p - change, q + change, zero, rests[0], rests[1], turned, second
+
+
+@compiled
+def _sort(p, q, first, second):
+    """Two eigenvalues and their axes, the greater first."""
+    greater, less = choose_greater(q, p, q, p), choose_greater(q, p, p, q)
+    return greater, less, choose_vector(q, p, second, first), choose_vector(q, p, first, second)

@@ -24,7 +24,9 @@ from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.lanes import (
     LANES,
     choose_greater,
+    choose_vector,
     fill_lanes,
+    find_axes,
     has_greater,
     load_columns,
     load_lanes,
@@ -86,7 +88,7 @@ AXES, OWN_NUMBERS = 15, 24
 CHUNK = np.uint64(8)
 """Neighbours of eight faces that are filtered at a time: they fit a first-level cache."""
 
-_0, _1, _2, _MINUS = (np.float32(number) for number in (0.0, 1.0, 2.0, -1.0))
+_0, _1, _MINUS = (np.float32(number) for number in (0.0, 1.0, -1.0))
 _TINY, _SMALL, _EVEN = np.float32(1e-30), np.float32(1e-24), np.float32(1e-4)
 _RATIO = np.float32((WIDE / NARROW) ** 2)
 _WIDE_1, _WIDE_2, _WIDE_3 = (np.float32(1.0 / s**2) for s in WIDE_RANGES)
@@ -137,16 +139,6 @@ def _zeros():
 
 
 @compiled
-def _choose(a, b, yes, no):
-    """The vector ``yes`` in the lanes where a > b, else ``no``."""
-    return (
-        choose_greater(a, b, yes[0], no[0]),
-        choose_greater(a, b, yes[1], no[1]),
-        choose_greater(a, b, yes[2], no[2]),
-    )
-
-
-@compiled
 def _greater(a, b):
     """The greater numbers of two."""
     return choose_greater(a, b, a, b)
@@ -164,7 +156,7 @@ def _normalise(vector, kept, least):
     """The unit vector of one; ``kept`` where its square is no more than ``least``."""
     square, bound, one = vec.dot(vector, vector), fill_lanes(least), fill_lanes(_1)
     per_length = one / root(choose_greater(square, bound, square, one))
-    return _choose(square, bound, vec.times(per_length, vector), kept)
+    return choose_vector(square, bound, vec.times(per_length, vector), kept)
 
 
 # Faces near others, side by side
@@ -416,61 +408,10 @@ def _add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place):
     _store_vector(sums, place + R3, b)
 
 
-# Eigenvectors of eight symmetric 3 x 3 matrices at once, by Jacobi's rotations.
-
-SWEEPS = 4
-"""Rounds of three rotations: what is left beside the diagonal is below single precision."""
-
-
-@compiled
-def _find_axes(tensor):
-    """Unit eigenvectors and eigenvalues, greatest first, of a ``tensor`` xx, xy, xz, yy, yz, zz."""
-    xx, xy, xz, yy, yz, zz = tensor
-    zero, one = fill_lanes(_0), fill_lanes(_1)
-    a, b, c = (one, zero, zero), (zero, one, zero), (zero, zero, one)
-    for _ in range(SWEEPS):
-        xx, yy, xy, xz, yz, a, b = _rotate(xx, yy, xy, xz, yz, a, b)
-        xx, zz, xz, xy, yz, a, c = _rotate(xx, zz, xz, xy, yz, a, c)
-        yy, zz, yz, xy, xz, b, c = _rotate(yy, zz, yz, xy, xz, b, c)
-    xx, yy, a, b = _sort(xx, yy, a, b)
-    yy, zz, b, c = _sort(yy, zz, b, c)
-    xx, yy, a, b = _sort(xx, yy, a, b)
-    return a, b, c, xx, yy, zz
-
-
-@compiled
-def _rotate(p, q, off, rest_p, rest_q, first, second):
-    """One rotation of two axes, by the smaller angle that makes ``off`` zero.
-
-    ``p`` and ``q`` are their entries of the diagonal, ``off`` is the one of both, ``rest_p`` and
-    ``rest_q`` those with the third axis.
-    """
-    zero, one, minus = fill_lanes(_0), fill_lanes(_1), fill_lanes(_MINUS)
-    gap = q - p
-    size = choose_greater(zero, gap, gap * minus, gap)
-    double = fill_lanes(_2) * off
-    t = double / (size + root(gap * gap + double * double) + fill_lanes(_TINY))
-    t = choose_greater(zero, gap, t * minus, t)
-    c = one / root(one + t * t)
-    s = t * c
-    change = t * off
-    rests = c * rest_p - s * rest_q, s * rest_p + c * rest_q
-    turned = vec.subtract(vec.times(c, first), vec.times(s, second))
-    second = vec.add(vec.times(s, first), vec.times(c, second))
-    return p - change, q + change, zero, rests[0], rests[1], turned, second
-
-
-@compiled
-def _sort(p, q, first, second):
-    """Two eigenvalues and their axes, the greater first."""
-    greater, less = choose_greater(q, p, q, p), choose_greater(q, p, p, q)
-    return greater, less, _choose(q, p, second, first), _choose(q, p, first, second)
-
-
 @compiled
 def _turn_axis(skew, axis):
     """The axis, turned round where ``skew`` is negative."""
-    return _choose(fill_lanes(_0), skew, vec.times(fill_lanes(_MINUS), axis), axis)
+    return choose_vector(fill_lanes(_0), skew, vec.times(fill_lanes(_MINUS), axis), axis)
 
 
 # What is known, and the inputs of a network
@@ -549,7 +490,7 @@ def _describe_block(rows, close, marks, faces, counts, block, found):
     _store_vector(found, THREE * R3, normal)
     normal, _, _, _ = _fit_plane(_add_plane(rows, _WIDE_2, block), base)
     _store_vector(found, FOUR * R3, normal)
-    a, b, c, _, middle, least = _find_axes(_add_tensor(rows, block))
+    a, b, c, _, middle, least = find_axes(_add_tensor(rows, block))
     skews = _add_skews(rows, a, b, c, block)
     at = np.uint64(AXES) * R1
     _store_vector(found, at, _turn_axis(skews[0], a))
@@ -667,7 +608,9 @@ def _store_others(others, ids, normal, axes, vectors, x, to):
     rz, sx, sy, sz = load_columns(others, ids, _OTHERS, FOUR + FOUR)
     for vector in ((px, py, pz), (qx, qy, qz), (rx, ry, rz), (sx, sy, sz)):
         square = vec.dot(vector, vector)
-        to = _store_seen(_choose(square, fill_lanes(_0), vector, normal), axes, vectors, x, to)
+        to = _store_seen(
+            choose_vector(square, fill_lanes(_0), vector, normal), axes, vectors, x, to
+        )
     return to
 
 
