@@ -174,7 +174,7 @@ def _choose_by_risk(
         )
     share = round(float(shares[best]) * wishes.share, 3)
     used, parameters, label = blends.build_recipe(
-        members, rows, round(level, 4), case.levels, case.relax, share
+        members, rows, round(level, 4), case.levels, case.relax, share, blends.find_line(noise)
     )
     return Choice(
         used,

@@ -236,6 +236,16 @@ SHAPE = 1.25
 """The same where the smooth shape is to be kept."""
 
 
+SURE_LINE = 0.95
+"""Confidence in noise along an axis from which vertices stay on lines along it."""
+
+
+def find_line(noise: NoiseLevel) -> tuple[float, float, float] | None:
+    """The direction that the noise is surely along; None where it is along none."""
+    character = noise.character
+    return character.axis if character.confidence >= SURE_LINE else None
+
+
 def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
     """Such as ``noise 0.21 e, shared over two rings``; where it ``is_unsure`` whether there is any,
     ``noise of 0.08 e or texture``."""
@@ -266,15 +276,16 @@ def build_recipe(
     levels: Sequence[float] = (),
     relax: int = 0,
     share: float = 1.0,
+    line: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], str]:
     """The blend of ``members`` by weights (k,), in hundredths, the largest first: a method, or
     ``NONE``, all of its parameters, and its label.
 
     ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
     ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
-    passes even out the triangles before, and ``share`` how much of the way to the result is gone;
-    see the method ``blend``.  One member of weight 1 is its method alone, and no
-    weight at all is ``NONE``.
+    passes even out the triangles before, ``share`` how much of the way to the result is gone, and
+    ``line`` the direction in which vertices move; see the method ``blend``.  One member of weight 1
+    is its method alone, and no weight at all is ``NONE``.
     """
     rows = np.atleast_2d(weights)
     largest = rows.max(axis=0)
@@ -283,9 +294,9 @@ def build_recipe(
         return NONE, {}, "left as it is"
     settings = [members[k].settings(noise_edges) for k in used]
     first = members[used[0]]
-    if (rows[:, used[0]] == 1.0).all() and not relax and share == 1.0:
+    if (rows[:, used[0]] == 1.0).all() and not relax and share == 1.0 and line is None:
         return first.method, methods.find(first.method).validate(settings[0]), first.label
-    from msal_cli.methods.blend import format_levels, format_members
+    from msal_cli.methods.blend import format_levels, format_line, format_members
 
     if len(rows) > 1 and (rows == rows[0]).all():
         rows, levels = rows[:1], ()
@@ -297,6 +308,7 @@ def build_recipe(
         "members": format_members(listed),
         "levels": format_levels(levels),
         "relax": relax,
+        "line": "" if line is None else format_line(line),
         "share": share,
     }
     label = " + ".join(f"{_percent(rows[:, k])} {members[k].label}" for k in used)
@@ -307,6 +319,8 @@ def build_recipe(
         label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
     if relax:
         label += ", after triangles were evened out"
+    if line is not None:
+        label += ", along the view"
     if share < 1.0:
         label = f"{share:.0%} of what {label} moves"
     return "blend", methods.find("blend").validate(given), label

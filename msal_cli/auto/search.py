@@ -345,7 +345,7 @@ class _Search:
         beside = [k for k in order if rows[:, k].min() < 1.0][:3]
         noise = self._noise_edges()
         method, parameters, label = blends.build_recipe(
-            blended, rows, noise, self.levels, self.relax, share
+            blended, rows, noise, self.levels, self.relax, share, blends.find_line(self.noise)
         )
         choice = Choice(
             method,

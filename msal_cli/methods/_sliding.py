@@ -52,6 +52,29 @@ def undo_sliding(
     )
 
 
+FACING = (0.3, 0.5)
+"""Cosines to a line between which vertices are moved to it, by a rising share: what hardly faces it
+would go far for little, and a neighbour that does must not be left behind at once."""
+
+
+def move_to_lines(mesh: Mesh, positions: Floats, line: Floats) -> Floats:
+    """The outcome (n, 3) of a filter with each vertex on the line through its scanned position
+    along the unit vector ``line`` (3,): where its tangent plane cuts that.
+
+    Noise along the view of a scanner leaves vertices on such lines, and filters move them along
+    normals, or anywhere.
+    """
+    normals = mesh.with_vertices(positions).vertex_normals()
+    cosines = normals @ line
+    heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
+    low, high = FACING
+    shares = np.clip((np.abs(cosines) - low) / (high - low), 0.0, 1.0)
+    ways = heights / np.where(shares > 0.0, cosines, 1.0)
+    on_lines = mesh.vertices + ways[:, None] * line
+    moved: Floats = positions + shares[:, None] * (on_lines - positions)
+    return moved
+
+
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
 

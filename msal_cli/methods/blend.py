@@ -19,7 +19,8 @@ on, and in between in proportion.
 
 ``share`` is how much of the way from the input to all that is gone: x_i <- v_i + share (x_i - v_i).
 ``relax`` evens triangles out within the surface before the members run.  Noise in all directions
-makes them jagged, and two passes take most of that away.
+makes them jagged, and two passes take most of that away.  ``line=0:0:1`` moves vertices of faces
+towards that to the lines through their scanned positions, where noise along the view leaves them.
 
 Source: F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale
 orthonormal wavelet thresholding, IEEE TIP 16 (2007), 593-606, for denoisers weighted so that an
@@ -36,11 +37,12 @@ from typing import Any
 import numpy as np
 
 from msal_cli.analysis.noise_estimate import local_levels
+from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer
-from msal_cli.methods._sliding import even_out
+from msal_cli.methods._sliding import even_out, move_to_lines
 
 BYTES_PER_FACE = 760
 """Memory with ``learned``, the member that needs most; see ``Method``."""
@@ -107,6 +109,25 @@ def parse_levels(text: str) -> tuple[float, ...]:
             f"levels = {text} is not allowed", hint="rising levels of noise, for example 0.02:0.25"
         )
     return levels
+
+
+def format_line(line: Sequence[float]) -> str:
+    """The text of ``line``."""
+    return _format_numbers([round(number, 6) for number in line])
+
+
+def parse_line(text: str) -> Floats | None:
+    """The unit vector (3,) that a text names; None for an empty one."""
+    if not text.strip():
+        return None
+    try:
+        line = np.array([float(word) for word in text.split(":")])
+    except ValueError:
+        line = np.empty(0)
+    length = float(np.sqrt((line * line).sum()))
+    if line.shape != (3,) or not 0.0 < length < math.inf:
+        raise UsageError(f"line = {text} is not allowed", hint="a direction, for example 0:0:1")
+    return line / length
 
 
 def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
@@ -201,6 +222,9 @@ class Parameters:
         "more even triangles, vertices farther from the scan",
         high=100,
     )
+    line: str = fields.parameter(
+        "", "direction of these lines, as 0:0:1; empty for none", more="nearer to the view"
+    )
     share: float = fields.share(
         1.0,
         "how much of the way from the mesh to the result is gone, after everything else",
@@ -210,6 +234,7 @@ class Parameters:
     def __post_init__(self) -> None:
         """Refuse members that mean nothing."""
         parse_members(self.members, len(parse_levels(self.levels)))
+        parse_line(self.line)
 
     @property
     def has_data_term(self) -> bool:
@@ -230,9 +255,10 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     levels = parse_levels(parameters.levels)
     members = parse_members(parameters.members, len(levels))
     local = local_levels(mesh) if levels else None
-    scanned = mesh.vertices
+    scanned, line = mesh, parse_line(parameters.line)
     mesh = even_out(mesh, parameters.relax)
-    if [member.weights for member in members] == [(1.0,)] and parameters.share == 1.0:
+    is_alone = [member.weights for member in members] == [(1.0,)]
+    if is_alone and parameters.share == 1.0 and line is None:
         return members[0].method.denoise(mesh, members[0].parameters, on_sweep)
     move = np.zeros_like(mesh.vertices)
     for k, member in enumerate(members):
@@ -251,8 +277,10 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         # Each set of them takes as much as the vertices, and far less time than a filter.
         mesh.release_normals()
     move += mesh.vertices
+    if line is not None:
+        move = move_to_lines(scanned, move, line)
     if parameters.share < 1.0:
-        move -= scanned
+        move -= scanned.vertices
         move *= parameters.share
-        move += scanned
+        move += scanned.vertices
     return timer.finish(move)

@@ -22,12 +22,10 @@ KINDS = {
     "shared": AddedNoise("correlated", 0.2, seed=1, rings=2),
     "isotropic": AddedNoise("gaussian", 0.2, seed=1),
     "half": AddedNoise("half", 0.25, seed=1, direction=(0.0, 1.0, 0.0)),
+    "view": AddedNoise("view", 0.2, seed=1),
 }
-WORDS = {
-    "shared": "shared over two rings",
-    "isotropic": "in all directions",
-    "half": "uneven over the surface",
-}
+_WORDS = ("shared over two rings", "in all directions", "uneven over the surface", "along the view")
+WORDS = dict(zip(KINDS, _WORDS, strict=True))
 
 
 @functools.lru_cache
@@ -60,6 +58,7 @@ def test_auto_takes_most_of_it_away(kind):
     mesh, _ = pair(kind)
     choice = choose_auto(mesh)
     assert WORDS[kind] in choice.reason.split(";")[0] or choice.estimate.is_unsure
+    assert bool(choice.parameters.get("line")) == (kind == "view")
     left = angle_to_true(kind, made_by(choice, mesh))
     assert left < 0.3 * angle_to_true(kind, mesh)
     assert left < 0.8 * angle_to_true(kind, denoise_as_white(mesh))

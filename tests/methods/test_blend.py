@@ -108,6 +108,9 @@ def test_what_means_nothing_is_refused(text, what):
     with pytest.raises(UsageError, match=what) as refused:
         BLEND.validate({"members": members} | ({"levels": levels} if ";" in text else {}))
     assert refused.value.hint
+    for line in ("0:0:0", "1:2", "0:0:up", "0:0:inf"):
+        with pytest.raises(UsageError, match=f"line = {line} is not allowed"):
+            BLEND.validate({"line": line})
     assert parse_levels("0.1:0.2") == (0.1, 0.2)
 
 
@@ -198,6 +201,23 @@ def test_vertices_that_are_held_or_at_open_edges_are_not_evened_out():
     assert (even.vertices[still] == vertices[still]).all()
     assert (even.vertices[~still] != vertices[~still]).any(axis=1).all()
     assert even_out(rough, 0) is rough
+
+
+@pytest.mark.parametrize("line", ["0:0:2", "0:0:-1", "1:2:-3"])
+def test_vertices_stay_on_lines_where_their_planes_face_them(line):
+    truth, faces = grid(30, 30)
+    truth[:, 2] = 2.0 * np.sin(truth[:, 0] / 3.0)
+    view = np.array([float(number) for number in line.split(":")])
+    view /= np.linalg.norm(view)
+    clean = prepare_mesh(truth, faces).mesh
+    noise = np.random.default_rng(3).normal(0.0, 0.2, len(truth))
+    noisy = clean.with_vertices(clean.vertices + noise[:, None] * view)
+    moves = blended(noisy, "1*taubin", line=line) - noisy.vertices
+    faced = np.abs(clean.vertex_normals() @ view) > 0.7
+    assert faced.any()
+    assert np.allclose(np.cross(moves[faced], view), 0.0, atol=1e-12)
+    usual, away = blended(noisy, "1*taubin") - noisy.vertices, np.abs(clean.vertex_normals() @ view)
+    assert np.array_equal(moves[away < 0.1], usual[away < 0.1])
 
 
 @pytest.mark.parametrize("relax", [0, 2])
