@@ -41,6 +41,7 @@ class MethodParameters(TypedDict, total=False):
     K: float
     k_PB: float
     levels: str
+    line: str
     members: str
     mollify: int
     mu: float
