@@ -182,9 +182,8 @@ SAMPLES = [[0, 1, 2, None], [3, 4, 5, 6], [None, 7, None, 8]]
 PLACES = [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (1.75, 0.875), (3, 1), (1, 2), (3, 2)]
 """A vertex for each sample, on whole numbers but for the sixth, which is nearer to the second."""
 
-# Both diagonals are as long; in the next cell the first one is shorter.
-TRIANGLES = [[0, 1, 3], [1, 4, 3], [1, 2, 5], [1, 5, 4]]
-TRIANGLES += [[6, 5, 2], [3, 4, 7], [7, 4, 5], [5, 6, 8]]  # Cells of three samples.
+# Both diagonals are as long; in the next cell the first one is shorter; cells of three samples.
+TRIANGLES = [[0, 1, 3], [1, 4, 3], [1, 2, 5], [1, 5, 4], [6, 5, 2], [3, 4, 7], [7, 4, 5], [5, 6, 8]]
 INFOS = ["obj_info is_mesh 0", "obj_info num_cols 4", "obj_info num_rows 3", "Created by Blender"]
 
 
