@@ -1,7 +1,5 @@
 """Meshes and paths that many tests share."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -1,7 +1,5 @@
 """Files in folders, scripts as modules, and limits of time and of systems."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import os

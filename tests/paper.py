@@ -4,8 +4,6 @@ Written from the text of Huang and Ascher alone, slowly and literally, to stand 
 kernels.  Only the limits that the text leaves out are added, and marked as such.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 

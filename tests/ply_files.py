@@ -1,7 +1,5 @@
 """PLY files made by hand, so that arrays and files hold the very same numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 XYZ = ("float x", "float y", "float z")

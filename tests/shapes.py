@@ -1,7 +1,5 @@
 """Meshes made by formula, for tests: vertices (n, 3) float64 and faces (m, 3) int32."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """The pages say what the program does, and those that scripts make from the code are current."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shlex

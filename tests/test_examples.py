@@ -1,7 +1,5 @@
 """The gallery of docs/examples: every program and every cell runs."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

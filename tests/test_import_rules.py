@@ -1,7 +1,5 @@
 """Who may import whom (docs/architecture.md), by the syntax trees; what extras need."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import graphlib

@@ -1,7 +1,5 @@
 """Sample meshes; files through the whole way: unchanged byte for byte, or refused."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import struct

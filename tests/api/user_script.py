@@ -1,7 +1,5 @@
 """A program that uses the Python API, as type checkers see it: ``mypy --strict`` has to pass."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

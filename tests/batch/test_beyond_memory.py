@@ -1,8 +1,6 @@
 """Meshes beyond the memory: arrays in files give the same bytes, and what fits nowhere is refused
 before anything of it is loaded."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Meshes cut into files that touch, and the outputs of a set read back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ The folder holds small meshes, one of them damaged, so that a run over it takes 
 second and ends with exit status 3.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import json

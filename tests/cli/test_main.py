@@ -1,7 +1,5 @@
 """The program as a whole: help, completion, errors in one line, pipes, signals."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What every codec that patches promises, checked on a file; numbers for files of any kind."""
 
-from __future__ import annotations
-
 import re
 from random import Random
 

@@ -1,7 +1,5 @@
 """3MF packages put together the plain way, independently of the codec."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """GLB files put together the plain way, independently of the codec."""
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any

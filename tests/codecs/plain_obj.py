@@ -1,7 +1,5 @@
 """OBJ read in the plainest way, statement by statement, and written: the tests' own idea of it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """STL files written the plain way, byte by byte, independently of the codec."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

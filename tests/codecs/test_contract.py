@@ -4,8 +4,6 @@ The files are the seeds of the mutants, which use every path of a reader.  What 
 is tested beside that format.
 """
 
-from __future__ import annotations
-
 import functools
 import gc
 import itertools

@@ -1,7 +1,5 @@
 """Conversion between formats: what goes across and what is named as lost."""
 
-from __future__ import annotations
-
 import io
 
 import meshio

@@ -1,7 +1,5 @@
 """glTF and GLB: positions, normals and bounds replaced, all else kept."""
 
-from __future__ import annotations
-
 import base64
 import copy
 import io

@@ -1,7 +1,5 @@
 """What the beginning of a file tells: counts, a forecast of memory, and lies that are refused."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 

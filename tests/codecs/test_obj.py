@@ -1,7 +1,5 @@
 """OBJ: positions and normals replaced and every other byte kept, or an error with the place."""
 
-from __future__ import annotations
-
 import math
 import re
 from random import Random

@@ -1,7 +1,5 @@
 """OFF files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

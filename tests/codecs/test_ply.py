@@ -1,7 +1,5 @@
 """PLY: hand-worked cases, range grids, other readers, fields at vertices, and wrong files."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from dataclasses import replace

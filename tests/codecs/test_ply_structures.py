@@ -1,7 +1,5 @@
 """PLY files of random structure against a plain writer and reader of the tests' own."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import struct

@@ -1,7 +1,5 @@
 """STL, binary and ascii: corners, normals, forms of text, breaks of the format that others read."""
 
-from __future__ import annotations
-
 import re
 import struct
 from random import Random

@@ -1,7 +1,5 @@
 """3MF: numbers replaced in the XML inside the archive, all else kept; hostile archives."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil

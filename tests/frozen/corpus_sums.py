@@ -13,8 +13,6 @@ that the tests of the readers made when it was written) and mutants of the seeds
 With MSAL_DATA real meshes are compared too.
 """
 
-from __future__ import annotations
-
 import functools
 import gzip
 import multiprocessing

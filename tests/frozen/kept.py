@@ -1,7 +1,5 @@
 """Sums that are kept in JSON files beside the code: compared with new ones, or replaced."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

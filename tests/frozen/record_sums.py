@@ -11,8 +11,6 @@ process ids are left out.  To see what changed: ``--list A`` in an old checkout,
 the new one, and ``diff -r A B``.
 """
 
-from __future__ import annotations
-
 import gzip
 import itertools
 import json

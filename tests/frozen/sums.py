@@ -10,8 +10,6 @@ The bytes depend on the system's libm and on numpy, so these are kept with the s
 they say nothing.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import json

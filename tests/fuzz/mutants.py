@@ -10,8 +10,6 @@ exchanged, numbers made extreme; and by changes of the header, of entries of JSO
 within gzip, around which all lengths and checksums are right.
 """
 
-from __future__ import annotations
-
 import base64
 import copy
 import gzip

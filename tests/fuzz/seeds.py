@@ -1,7 +1,5 @@
 """Small good files that between them use every path of the readers, and the corpus of fuzzing."""
 
-from __future__ import annotations
-
 import functools
 import tarfile
 from pathlib import Path

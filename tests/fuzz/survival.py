@@ -1,7 +1,5 @@
 """What every file must end in, however it is damaged: an error of msal's own, or a whole result."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli import codecs

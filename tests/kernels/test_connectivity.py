@@ -1,7 +1,5 @@
 """Rings, edges, winding, components, points at one place, the order in space; faces that touch."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every number in or out of a text file is the one that Python's own conversion gives."""
 
-from __future__ import annotations
-
 import math
 import struct
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Plain twins of the filters of face normals, face by face, from the papers' formulas."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

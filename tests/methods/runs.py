@@ -1,7 +1,5 @@
 """Methods run on meshes, meshes that several tests run them on, and pairs of known truth."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from pathlib import Path

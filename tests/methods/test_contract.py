@@ -1,7 +1,5 @@
 """Every method, found by name, keeps the same promises."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """Schedules over every operator, and the robust and the Wiener one by their definitions."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Umbrella operators: formulas, hand-worked cases, transfer functions and limits of stability."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

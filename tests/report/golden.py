@@ -3,8 +3,6 @@
 ``python -m tests.report.golden`` writes the files anew; read their difference before committing.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Records of every kind, made from the types of their fields, and their published schemas."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

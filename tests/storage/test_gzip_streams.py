@@ -1,7 +1,5 @@
 """Reading whole files, hashes, and gzip with a bound."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import os

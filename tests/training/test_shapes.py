@@ -1,7 +1,5 @@
 """The clean training meshes: sound, true to their surfaces, and the same for the same seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
