@@ -1,6 +1,6 @@
 """Train the noise estimate: the classifier of kinds, and the regressions of rings and levels.
 
-    python -m training.noise -o msal_cli/analysis/noise_estimate/forests.npz
+    python -m training.noise -o msal_cli/analysis/noise_estimate/forests.npy
 
 Clean meshes come from ``training.designs``, noise from ``training.noise_samples``.  The same seed,
 settings and versions give the same bytes.
@@ -58,11 +58,11 @@ def build_parser() -> argparse.ArgumentParser:
     """The options."""
     parser = argparse.ArgumentParser(prog="python -m training.noise", description=__doc__)
     add = parser.add_argument
-    add("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    add("-o", "--output", type=Path, required=True, metavar="FILE.npy")
     add("--seed", type=int, default=1)
     add("--designs", type=int, default=6000, help="clean meshes besides the sampled shapes")
     add("--jobs", type=int, default=1, help="processes that make and measure meshes")
-    keep = "train the levels only, and keep the trees of kinds and rings that FILE.npz has"
+    keep = "train the levels only, and keep the trees of kinds and rings that FILE.npy has"
     add("--levels-only", action="store_true", help=keep)
     return parser
 
@@ -73,13 +73,22 @@ def main(words: list[str] | None = None) -> int:
     samples, shapes = collect_samples(options.seed, options.designs, options.jobs, print)
     arrays: Arrays = {}
     if options.levels_only:
-        with np.load(options.output, allow_pickle=False) as earlier:
-            arrays |= dict(earlier)
+        earlier = np.load(options.output)
+        arrays |= {name: earlier[name] for name in earlier.dtype.names}
     else:
         arrays |= train_kinds(samples, np.array(shapes))
     arrays |= train_levels(samples, np.array(shapes))
-    np.savez_compressed(options.output, allow_pickle=False, **arrays)
+    np.save(options.output, pack_arrays(arrays))
     return 0
+
+
+def pack_arrays(arrays: Arrays) -> Array:
+    """All arrays as one, with a field for each: it is read in a tenth of the time of an archive."""
+    fields = [(name, array.dtype, array.shape) for name, array in arrays.items()]
+    packed = np.zeros((), np.dtype(fields, align=True))
+    for name, array in arrays.items():
+        packed[name] = array
+    return packed
 
 
 def collect_samples(

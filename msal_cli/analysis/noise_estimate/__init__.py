@@ -16,7 +16,6 @@ import functools
 import math
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +55,7 @@ from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.kernels.geometry import face_normals, ring_means
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, cached_by_mesh
 
 __all__ = [
@@ -72,7 +72,7 @@ __all__ = [
     "lend_estimate",
 ]
 
-WEIGHTS = Path(__file__).with_name("forests.npz")
+WEIGHTS = Path(__file__).with_name("forests.npy")
 
 KIND_NAMES = KINDS[:-1]
 """The outputs of the classifier: all kinds but ``unknown``."""
@@ -336,16 +336,15 @@ FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.nam
 @functools.cache
 def load_classifier() -> Classifier:
     """The forests of the package."""
-    with np.load(WEIGHTS, allow_pickle=False) as arrays:
-        forests = {
-            name: Forest(
-                **{part: arrays[f"{name}_{part}"] for part in FOREST_ARRAYS},
-                depth=int(arrays[f"{name}_depth"]),
-            )
-            for name in ("kinds", "rings", "levels")
-        }
-        sharpness, spreads = float(arrays["sharpness"]), arrays["spreads"]
-    return Classifier(**forests, sharpness=sharpness, spreads=spreads)
+    arrays = np.load(WEIGHTS)
+    forests = {
+        name: Forest(
+            **{part: arrays[f"{name}_{part}"] for part in FOREST_ARRAYS},
+            depth=int(arrays[f"{name}_depth"]),
+        )
+        for name in ("kinds", "rings", "levels")
+    }
+    return Classifier(**forests, sharpness=float(arrays["sharpness"]), spreads=arrays["spreads"])
 
 
 def measured_level(numbers: Floats, kind: str, rings: int) -> float:
