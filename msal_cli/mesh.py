@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
@@ -35,6 +34,7 @@ from msal_cli.kernels.welding import (
     used_vertices,
     widest_gap,
 )
+from msal_cli.light_dataclass import dataclass
 
 MAX_FACES = (2**31 - 1) // 6
 """Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""

@@ -11,7 +11,6 @@ weight over the surface and, for some, a rule applied afterwards::
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from msal_cli.analysis.measures import share_over_rings
 from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 KINDS: dict[str, tuple[str, ...]] = {

@@ -7,7 +7,7 @@ denoising.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels import geometry
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.quantiles import quantiles
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
 FLAT = 1e-9

@@ -5,7 +5,6 @@ to five neighbours together.  Nothing else moves.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.quantiles import median
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 ROUGH = 0.85

@@ -5,7 +5,6 @@ are one point already, as they are when the mesh is denoised by itself.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.connectivity import boundary_curves
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.kernels.welding import first_alike
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import PreparedMesh
 
 NEAR_EDGES = 0.25

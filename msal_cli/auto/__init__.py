@@ -11,8 +11,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from msal_cli.light_dataclass import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel

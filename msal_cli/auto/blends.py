@@ -12,7 +12,6 @@ More is a stronger filter, mixed in until vertices move farther.
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
 from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import CandidateRuns, Risk, count_relaxing
 from msal_cli.auto.sample_patch import Part
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
 

@@ -6,8 +6,9 @@ organic shapes of benchmarks/ground_truth.py.
 
 import dataclasses
 import re
-from dataclasses import dataclass
 from typing import Any
+
+from msal_cli.light_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from msal_cli.analysis.measures import share_over_rings
 from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
 from msal_cli.arrays import Floats
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"

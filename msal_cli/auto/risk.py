@@ -20,7 +20,6 @@ Only ``judged`` vertices count.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,6 +31,7 @@ from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED, Candidate, wiener_
 from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
 from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.kernels.geometry import area_and_volume, face_normals
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import Method
 from msal_cli.methods._sliding import even_out

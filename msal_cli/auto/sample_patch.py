@@ -1,6 +1,5 @@
 """The part of a mesh that candidates run on, and the kind of its surface."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.quantiles import find_distinct, quantiles
 from msal_cli.kernels.spatial_order import order_in_space
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 Ints = NDArray[Any]

@@ -11,12 +11,12 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.codecs.detection import READABLE
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.settings import is_mesh_name
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url

@@ -28,10 +28,10 @@ import re
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import is_alive
 from msal_cli.storage.regular import open_own
 

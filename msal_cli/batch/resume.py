@@ -10,7 +10,7 @@ import stat
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -22,6 +22,7 @@ from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, Run, from_data
 from msal_cli.job.settings import Settings, Task, suffix
+from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular

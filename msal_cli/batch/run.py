@@ -9,7 +9,7 @@ import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from msal_cli.job.pipeline import denoise_file, start_record
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings
+from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.atomic import sweep
 from msal_cli.storage.urls import is_url

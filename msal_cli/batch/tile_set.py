@@ -7,7 +7,7 @@ read again and written with its part of the new positions.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from msal_cli.job.settings import (
     is_mesh_name,
     parse_lock,
 )
+from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import memory_bytes
 
 # What the records of all files of a set share.

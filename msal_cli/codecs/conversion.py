@@ -5,7 +5,6 @@ file has is named as lost."""
 
 import contextlib
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
 from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import InputError, UnsupportedError, format_count
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
 _NORMAL_PROPERTIES = re.compile(

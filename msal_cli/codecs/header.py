@@ -14,13 +14,13 @@ import os
 import re
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import content_format, format_of_name, refuse_no_mesh
 from msal_cli.errors import MsalError, TooLargeError, cut_short
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url

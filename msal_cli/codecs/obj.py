@@ -23,7 +23,6 @@ import functools
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +44,7 @@ from msal_cli.errors import format_count
 from msal_cli.kernels import obj_scan as scan
 from msal_cli.kernels.parallel import over_ranges, threads
 from msal_cli.kernels.text import as_bytes
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
 _NO_LIMIT = 99

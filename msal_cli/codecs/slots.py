@@ -7,7 +7,7 @@ An array of shape (n, k) lies in records, whose numbers keep their places, or in
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.errors import ContentError, InternalError
+from msal_cli.light_dataclass import dataclass
 
 
 class Slots:

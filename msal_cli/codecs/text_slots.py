@@ -12,7 +12,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY
 from typing import Any, AnyStr, NamedTuple, TypeVar
 
 import numpy as np
@@ -28,6 +28,7 @@ from msal_cli.errors import (
     damaged,
     format_count,
 )
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
 SHORTEST = 18

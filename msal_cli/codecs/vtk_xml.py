@@ -12,7 +12,6 @@ import lzma
 import re
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from msal_cli.codecs.slots import Change, Slots, to_type
 from msal_cli.codecs.text_slots import Span
 from msal_cli.codecs.vtk import Cells
 from msal_cli.codecs.xml_tree import Element, parse_tree
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
 from msal_cli.storage.regular import Buffer, memory_bytes
 

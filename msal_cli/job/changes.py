@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.job import records
 from msal_cli.kernels.quantiles import quantiles
+from msal_cli.light_dataclass import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DistanceStatistics, Harm

@@ -4,7 +4,6 @@ A limit and pins hold whatever the method does.  Methods that know of pins treat
 as fixed during their sweeps, and trust goes into the data term of those that have one.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import ContentError
 from msal_cli.job.settings import AXES, COMPARISONS, Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, PreparedMesh
 
 # Of a sum of coordinates, and of the distance between two points, relative to the largest of them.

@@ -7,7 +7,6 @@ leave all the rest in one colour.
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from msal_cli.codecs import colours, ply_write
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import OutputError
 from msal_cli.job.records import FieldsFile
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import PreparedMesh
 from msal_cli.storage.atomic import Sources, write_whole
 from msal_cli.storage.regular import Buffer, open_regular

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from msal_cli.codecs import detection
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError, UnsupportedError
 from msal_cli.job.room import open_mesh, prepare_mesh
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import atomic, gzip_streams
 from msal_cli.storage.urls import is_url
 

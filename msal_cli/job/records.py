@@ -17,10 +17,11 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.urls import ObjectMark
 
 SCHEMA = "msal.report/1"

@@ -10,7 +10,7 @@ import logging
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,7 @@ from msal_cli.job.settings import (
     forecast,
 )
 from msal_cli.kernels import array_files
+from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import megabytes
 from msal_cli.storage import gzip_streams
 from msal_cli.storage.regular import LOOKED_AT, Buffer, large_files_allowed, open_regular

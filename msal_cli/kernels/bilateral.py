@@ -5,8 +5,6 @@ connectivity, not in a ball in space: the other side of a thin wall is not found
 is needed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
@@ -18,6 +16,7 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vectors import ONE, ZERO, longest_row
+from msal_cli.light_dataclass import dataclass
 
 MAX_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""

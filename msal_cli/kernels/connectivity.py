@@ -7,7 +7,6 @@ follow it, where all faces are wound one way and close; else as these faces name
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +16,7 @@ from msal_cli.arrays import Flags, Ints
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
+from msal_cli.light_dataclass import dataclass
 
 Kept = TypeVar("Kept")
 

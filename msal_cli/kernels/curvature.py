@@ -6,7 +6,6 @@ an edge has the cotangents of as many corners as look at it.
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from msal_cli.kernels.linear_systems import RowMatrix, conjugate_gradients
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
+from msal_cli.light_dataclass import dataclass
 
 FLATTEST = 0.05
 """Height over longest edge below which a face's cotangents are those of a face that is less flat.

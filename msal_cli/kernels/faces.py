@@ -17,7 +17,6 @@ room for the longest rows, which is cut off behind the last one then.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
+from msal_cli.light_dataclass import dataclass
 
 MAX_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""

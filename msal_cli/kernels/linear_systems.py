@@ -13,7 +13,6 @@ in the positions once their coefficients are fixed:
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.light_dataclass import dataclass
 
 CHUNK = 4096
 """Rows that are summed up together: sums over chunks do not depend on how threads share them."""

@@ -17,7 +17,6 @@ run.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from msal_cli.kernels.library import Kernel, compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
+from msal_cli.light_dataclass import dataclass
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""

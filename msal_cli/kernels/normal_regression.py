@@ -13,7 +13,6 @@ half of the registers that any processor has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,6 +44,7 @@ from msal_cli.kernels.normal_descriptors import (
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
+from msal_cli.light_dataclass import dataclass
 
 MAX_NEAR = 63
 """Faces near one at most, beside itself."""

@@ -15,7 +15,6 @@ Counts and indices are uint64, which need no look at their sign: an index that m
 end would keep loops from becoming vector code.
 """
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +27,7 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, sort_few
+from msal_cli.light_dataclass import dataclass
 
 BLOCK = np.uint64(256)
 """Vertices in a block at most: with 6 neighbours each their heights take 12 KiB."""

@@ -5,7 +5,6 @@ computes all of its terms from the positions that the sweep before left (Jacobi)
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import quantile_above_zero
+from msal_cli.light_dataclass import dataclass
 
 
 class Pace(NamedTuple):

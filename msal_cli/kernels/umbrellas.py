@@ -13,7 +13,6 @@ the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE
+from msal_cli.light_dataclass import dataclass
 
 
 @compiled

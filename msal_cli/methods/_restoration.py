@@ -3,8 +3,6 @@
 It is what ``wiener`` does, and what the learned filter looks at.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from msal_cli.arrays import Floats
@@ -15,6 +13,7 @@ from msal_cli.kernels.operators import RingOperator
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep

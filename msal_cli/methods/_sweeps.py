@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from msal_cli.errors import UsageError
 from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.kernels.operators import DEVIATIONS, WEIGHTS, Operator, RingOperator, RobustLaplacian
 from msal_cli.kernels.sweeps import Schedule, SweepResult, Wiener, run_sweeps
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -36,9 +36,8 @@ Black, G. Sapiro, D. Marimont and D. Heeger, Robust anisotropic diffusion, IEEE 
 421-432.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.operators import SCALINGS
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

@@ -33,10 +33,9 @@ Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surf
 Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.curvature import AnisotropicCurvature, curvature_threshold
 from msal_cli.kernels.faces import flaps
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

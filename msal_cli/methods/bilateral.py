@@ -30,11 +30,10 @@ Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM TO
 2003), 950-953; one-ring variant: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 2.3.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.errors import UsageError
 from msal_cli.kernels.bilateral import BallBilateral
 from msal_cli.kernels.operators import Operator, RingOperator
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

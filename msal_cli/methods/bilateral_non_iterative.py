@@ -25,9 +25,8 @@ Source: T. Jones, F. Durand and M. Desbrun, Non-iterative, feature-preserving me
 TOG 22 (SIGGRAPH 2003), 943-949.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.bilateral import ProjectionAverage
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

@@ -33,8 +33,6 @@ IEEE TVCG 17 (2011), 1521-1530; vertices: X. Sun, P. L. Rosin, R. R. Martin and 
 same journal 13 (2007), 925-938.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from msal_cli.arrays import Floats
@@ -42,6 +40,7 @@ from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.linear_systems import conjugate_gradients
 from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

@@ -31,7 +31,6 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,6 +38,7 @@ import numpy as np
 from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer

@@ -19,9 +19,8 @@ Source: J. Vollmer, R. Mencl and H. Mueller, Improved Laplacian smoothing of noi
 Computer Graphics Forum 18 (1999), 131-138.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.umbrellas import hc_sweep
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

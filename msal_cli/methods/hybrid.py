@@ -35,8 +35,6 @@ Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and
 SIAM Journal on Scientific Computing 31 (2008), 74-93.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
@@ -45,6 +43,7 @@ from msal_cli.kernels.geometry import ring_means, vertex_normals
 from msal_cli.kernels.quantiles import clusters
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -29,11 +29,11 @@ memory about 1 kB a vertex.
 Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM TOG 32 (4), 2013, 64:1-64:8.
 """
 
-from dataclasses import dataclass
 from functools import partial
 
 from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.kernels.linear_systems import conjugate_gradients, edge_sparsity
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

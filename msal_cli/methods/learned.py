@@ -36,10 +36,9 @@ convolutional networks for denoising Monte Carlo renderings, ACM TOG 36 (4), 201
 networks and training are own.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import untangle
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._cascade import Cascade, load_networks, return_texture

@@ -32,7 +32,6 @@ A. Barr, Discrete differential-geometry operators for triangulated 2-manifolds, 
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from msal_cli.kernels.curvature import (
     AREAS,
@@ -42,6 +41,7 @@ from msal_cli.kernels.curvature import (
 )
 from msal_cli.kernels.geometry import restore_volume
 from msal_cli.kernels.operators import Operator
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

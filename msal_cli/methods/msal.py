@@ -27,8 +27,7 @@ zero.
 Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 3 and Algorithm 1.
 """
 
-from dataclasses import dataclass
-
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

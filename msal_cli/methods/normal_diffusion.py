@@ -32,12 +32,12 @@ P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import difference_width, diffused_normals
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -20,9 +20,8 @@ Proceedings of the AMS 123 (1995), 2585-2594; as a smoother: M. Desbrun, M. Meye
 A. Barr, Implicit fairing of irregular meshes using diffusion and curvature flow, SIGGRAPH 1999.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

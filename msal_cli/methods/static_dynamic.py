@@ -35,12 +35,12 @@ Langbein, the same journal 13 (2007), 925-938.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import Patches, face_centroids, faces_within, patches
 from msal_cli.kernels.geometry import face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -21,11 +21,10 @@ An iteration costs two passes over the edges.
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.errors import UsageError
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -19,9 +19,8 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 (3) of H. Huang and U. Ascher, Inverse Problems 24 (2008).
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.umbrellas import Umbrella
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result

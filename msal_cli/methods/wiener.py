@@ -34,8 +34,7 @@ Processing Letters 6 (1999), 300-303; normals guided by another surface as in W.
 Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics Forum 34 (2015).
 """
 
-from dataclasses import dataclass
-
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._restoration import RestorationParameters, fit_to_normals, restore

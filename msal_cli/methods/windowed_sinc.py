@@ -20,9 +20,8 @@ Conference on Computer Vision 1996, 283-292; the window is A. Nuttall, Some wind
 sidelobe behavior, IEEE Transactions on Acoustics, Speech, and Signal Processing 29 (1981), 84-91.
 """
 
-from dataclasses import dataclass
-
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -18,7 +18,6 @@ import types
 import typing
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import FormatError
@@ -33,6 +32,7 @@ from msal_cli.job.records import (
     required,
     value_at,
 )
+from msal_cli.light_dataclass import dataclass
 
 REPORT, BASELINE = "report of msal denoise", "baseline"
 _HINTS = {

@@ -8,7 +8,6 @@ display; others are not: every writer escapes them for its format.
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from msal_cli.errors import MsalError, format_count
@@ -25,6 +24,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     value_at,
 )
+from msal_cli.light_dataclass import dataclass
 from msal_cli.report.data import Totals, flatten, known_values, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]

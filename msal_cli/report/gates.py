@@ -14,12 +14,13 @@ import operator
 import re
 import typing
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from msal_cli.errors import UsageError
 from msal_cli.job.records import ComparisonRecord, GateResult, MeshRecord, value_at
 from msal_cli.job.settings import COMPARISONS, UNIT_PATTERN, in_file_units
+from msal_cli.light_dataclass import dataclass
 from msal_cli.report.data import leaf_fields
 
 Value = float | bool | None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.light_dataclass import dataclass
 from msal_cli.view.rendering import WHITE, Image
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
 from msal_cli.job.room import prepare_mesh
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.view.panels import Legend, Panel, draw_panels
 from msal_cli.view.rendering import CREASE_DEG, Camera, Image, choose_camera, shade

@@ -3,8 +3,6 @@
 Cameras are parallel projections, and all panels of a picture have the same.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +10,7 @@ from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.kernels import z_buffer
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.kernels.welding import used_vertices
+from msal_cli.light_dataclass import dataclass
 
 # Where from
 

@@ -13,7 +13,6 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from msal_cli.codecs.colours import colour_table
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.kernels.welding import repeated_corners
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 MAX_FACES = 200_000

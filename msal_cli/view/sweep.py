@@ -8,7 +8,7 @@ import itertools
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from msal_cli.job.changes import volume_changed
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.room import prepare_mesh
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method, find, names
 from msal_cli.view import pictures

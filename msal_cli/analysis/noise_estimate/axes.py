@@ -13,7 +13,6 @@ no fit leaves anything.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from msal_cli.analysis.noise_estimate.fits import (
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import count_parallel
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 MAX_GROUPS = 24

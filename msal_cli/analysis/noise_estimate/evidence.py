@@ -15,7 +15,6 @@ place, where noise has a floor: ``SHARP``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +48,7 @@ from msal_cli.analysis.noise_estimate.fits import (
 from msal_cli.arrays import Floats, Longs
 from msal_cli.kernels.geometry import list_edge_lengths
 from msal_cli.kernels.quantiles import median, quantiles
+from msal_cli.light_dataclass import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_u
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels.patch_fits import fit_patches, fit_scales
 from msal_cli.kernels.quantiles import student
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 _NORMAL = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+
+from msal_cli.light_dataclass import dataclass
 
 SURE = 0.025
 """Mean edge lengths: upper end of the interval below which there is certainly no noise."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from msal_cli.arrays import Flags, Floats, Floats32, Longs
 from msal_cli.kernels.geometry import is_any_near
 from msal_cli.kernels.patch_fits import collect_near
 from msal_cli.kernels.quantiles import median
+from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 PLACES, FIRST_PLACES = 24, 6
