@@ -6,7 +6,11 @@ times at each start.  Here they are loops over the fields: some microseconds for
 
 import dataclasses
 import functools
+from collections.abc import Mapping
+from dataclasses import field as field
 from typing import TYPE_CHECKING, Any
+
+_SCREEN_LINES, _SCREEN_WIDTH = 20, 100
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as dataclass
@@ -38,8 +42,8 @@ else:
 @functools.cache
 def _fields_of(kind: Any) -> tuple[dict[str, dataclasses.Field[Any]], list[str]]:
     """The fields by name, and the names of those that may be given by place."""
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    return fields, [name for name, field in fields.items() if field.init and not field.kw_only]
+    fields = {known.name: known for known in dataclasses.fields(kind)}
+    return fields, [name for name, known in fields.items() if known.init and not known.kw_only]
 
 
 def _initialize(self: Any, /, *values: Any, **given: Any) -> None:
@@ -51,14 +55,14 @@ def _initialize(self: Any, /, *values: Any, **given: Any) -> None:
             raise TypeError(f"{kind.__name__}() got too many values, or one of them twice")
         given.update(placed)
     n_unknown = len(given)
-    for name, field in fields.items():
-        if field.init and name in given:
+    for name, known in fields.items():
+        if known.init and name in given:
             value = given[name]
             n_unknown -= 1
-        elif field.default is not dataclasses.MISSING:
-            value = field.default
-        elif field.default_factory is not dataclasses.MISSING:
-            value = field.default_factory()
+        elif known.default is not dataclasses.MISSING:
+            value = known.default
+        elif known.default_factory is not dataclasses.MISSING:
+            value = known.default_factory()
         else:
             raise TypeError(f"{kind.__name__}() needs {name!r}")
         object.__setattr__(self, name, value)
@@ -68,11 +72,9 @@ def _initialize(self: Any, /, *values: Any, **given: Any) -> None:
         self.__post_init__()
 
 
-def _compared(self: Any) -> tuple[Any, ...]:
+def _compared(self: Any) -> list[Any]:
     kind: Any = type(self)
-    return tuple(
-        getattr(self, name) for name, field in _fields_of(kind)[0].items() if field.compare
-    )
+    return [getattr(self, name) for name, known in _fields_of(kind)[0].items() if known.compare]
 
 
 def _is_equal(self: Any, other: Any) -> Any:
@@ -84,9 +86,26 @@ def _hash(self: Any) -> int:
 
 
 def _show(self: Any) -> str:
+    """As the library has it; what is longer than a line fits one screen."""
     kind: Any = type(self)
-    shown = [name for name, field in _fields_of(kind)[0].items() if field.repr]
-    return f"{kind.__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in shown)})"
+    facts = {name: getattr(self, name) for name, known in _fields_of(kind)[0].items() if known.repr}
+    line = f"{kind.__qualname__}({', '.join(f'{name}={fact!r}' for name, fact in facts.items())})"
+    is_short = len(line) <= _SCREEN_WIDTH and "\n" not in line
+    return line if is_short else screen_repr(kind.__name__, facts)
+
+
+def screen_repr(name: str, facts: Mapping[str, Any]) -> str:
+    """A line for each fact that is known, as many as fit one screen."""
+    lines = []
+    for key, value in facts.items():
+        if value is None or value in ("", (), {}):
+            continue
+        line = f"    {key}={value}" if isinstance(value, str) else f"    {key}={value!r}"
+        line = " ".join(line.split("\n"))
+        lines.append(line if len(line) <= _SCREEN_WIDTH else f"{line[: _SCREEN_WIDTH - 3]}...")
+    if len(lines) > _SCREEN_LINES:
+        lines[_SCREEN_LINES:] = [f"    ... and {len(lines) - _SCREEN_LINES} more"]
+    return "\n".join([f"{name}(", *lines, ")"])
 
 
 def _refuse(self: Any, name: str, *_: Any) -> None:

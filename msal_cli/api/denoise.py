@@ -26,7 +26,7 @@ from msal_cli.batch.run import check_options, run
 from msal_cli.batch.schedule import Event, Finished
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
-from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate, screen_repr
+from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
 from msal_cli.job.settings import (
     DEFAULT_BACKUP,
     METRES,
@@ -40,6 +40,7 @@ from msal_cli.job.settings import (
     parse,
     to_texts,
 )
+from msal_cli.light_dataclass import screen_repr
 from msal_cli.report.gates import (
     Gate,
     need_intersections,

@@ -36,7 +36,7 @@ import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -44,7 +44,7 @@ from typing import Any, BinaryIO
 from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.errors import InputError, MsalError, OutputError
 from msal_cli.job.records import MeshRecord, as_data, from_data
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import flush_folder, make_folder, write_whole
 from msal_cli.storage.regular import open_own, open_regular

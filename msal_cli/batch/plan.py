@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
@@ -18,7 +18,7 @@ from msal_cli.job.settings import (
     output_name,
     refuse_unknown_format,
 )
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url

@@ -7,14 +7,13 @@ again, so ``Started`` can come twice for one index; ``Finished`` comes exactly o
 
 import collections
 from collections.abc import Callable, Generator, Iterable, Mapping
-from dataclasses import field
 from typing import Any, Protocol
 
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, method_bytes_per_face
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import available_bytes
 
 _SHARE = 0.8

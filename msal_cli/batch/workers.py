@@ -30,7 +30,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import field, replace
+from dataclasses import replace
 from typing import IO, Any
 
 from msal_cli.batch import schedule
@@ -38,7 +38,7 @@ from msal_cli.batch.schedule import Failed, Message, Work
 from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST, Settings, Task
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
 
 Denoise = Callable[..., MeshRecord]

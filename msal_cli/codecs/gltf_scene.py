@@ -10,7 +10,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 from typing import Any
 from urllib.parse import unquote
 
@@ -21,7 +20,7 @@ from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.slots import Strided
 from msal_cli.codecs.text_slots import Span, replace_spans
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 _MAX_TEXT_BYTES = 64 << 20
 """Longest description that is read; those of very large scenes have a few megabytes, and in memory

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from msal_cli.codecs.slots import (
 )
 from msal_cli.errors import InternalError, UnsupportedError, format_count, no_faces, not_finite
 from msal_cli.kernels.text import as_bytes
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
 

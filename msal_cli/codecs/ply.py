@@ -14,7 +14,7 @@ times the distance of samples, so that a surface is not joined with what is behi
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ from msal_cli.errors import (
     no_faces,
 )
 from msal_cli.kernels.text import as_bytes
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
 GRID = "range_grid"

@@ -8,7 +8,6 @@ or ``Lines`` (ascii).  No section is made before all bytes that its counts promi
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import field
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -20,7 +19,7 @@ from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
 from msal_cli.errors import FormatError, cut_short, format_count
 from msal_cli.kernels.parallel import at_once, is_worth_it, threads
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""

@@ -6,11 +6,10 @@ CR LF or CR; the first line shows which.
 
 import re
 from collections.abc import Sequence
-from dataclasses import field
 
 from msal_cli import errors
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

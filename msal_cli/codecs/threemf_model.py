@@ -7,7 +7,6 @@ write, are left out of what the slow parser gets: a pattern holds them to that f
 import math
 import re
 from array import array
-from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.xml_tree import Element, parse_tree
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
 _INDEX = rb'"[0-9]++"'

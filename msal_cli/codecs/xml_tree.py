@@ -9,13 +9,12 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import field
 from itertools import accumulate
 from xml.parsers import expat
 
 from msal_cli.codecs.text_slots import Span
 from msal_cli.errors import TooLargeError, UnsupportedError, cut_short, damaged
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
 MAX_ELEMENTS = 1_000_000

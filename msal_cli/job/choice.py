@@ -6,13 +6,13 @@ All of it counts as the stage ``choose`` of a record.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import Harm

@@ -17,11 +17,10 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.urls import ObjectMark
 
 SCHEMA = "msal.report/1"
@@ -38,9 +37,6 @@ WITH_OUTPUT = (*DONE, "up-to-date")
 # The fields of records
 
 
-_SCREEN_LINES, _SCREEN_WIDTH = 20, 100
-
-
 def about(description: str) -> dict[str, str]:
     """The metadata of a field: what the JSON Schema says of it."""
     return {"description": description}
@@ -54,30 +50,6 @@ def required(description: str) -> Any:
 def known(description: str, default: Any = None) -> Any:
     """A field with its description; None, or ``default``, if not known."""
     return dataclasses.field(default=default, metadata=about(description))
-
-
-class ScreenRepr:
-    """A record whose ``repr`` fits one screen: what is not known is left out, the rest is cut."""
-
-    __slots__ = ()
-
-    def __repr__(self) -> str:
-        facts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-        return screen_repr(type(self).__name__, facts)
-
-
-def screen_repr(name: str, facts: Mapping[str, Any]) -> str:
-    """A line for each fact that is known, as many as fit one screen."""
-    lines = []
-    for key, value in facts.items():
-        if value is None or value in ("", (), {}):
-            continue
-        line = f"    {key}={value}" if isinstance(value, str) else f"    {key}={value!r}"
-        line = " ".join(line.split("\n"))
-        lines.append(line if len(line) <= _SCREEN_WIDTH else f"{line[: _SCREEN_WIDTH - 3]}...")
-    if len(lines) > _SCREEN_LINES:
-        lines[_SCREEN_LINES:] = [f"    ... and {len(lines) - _SCREEN_LINES} more"]
-    return "\n".join([f"{name}(", *lines, ")"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,8 +315,8 @@ class TileSetPart:
     high: tuple[float, float, float] | None = known("greatest coordinates of them")
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class MeshRecord(ScreenRepr):
+@dataclass(frozen=True, slots=True)
+class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
     Lengths are in file units unless the name says otherwise.
@@ -458,8 +430,8 @@ class InfoRecord:
     error: Failure | None = known("why the file could not be read; null if it could")
 
 
-@dataclass(frozen=True, repr=False)
-class ComparisonRecord(ScreenRepr):
+@dataclass(frozen=True)
+class ComparisonRecord:
     """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
     the unit, its volume, area and normals are what changed.
 

@@ -9,11 +9,10 @@ import operator
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from msal_cli.errors import UsageError
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.urls import ObjectMark, is_url, split
 
 if TYPE_CHECKING:

@@ -18,13 +18,12 @@ import math
 import time
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import field
 from types import ModuleType
 from typing import Any
 
 from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.mesh import Mesh
 
 OnSweep = Callable[[int, int], None]

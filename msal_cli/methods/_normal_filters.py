@@ -1,13 +1,12 @@
 """What filters of face normals share: parameters, the two stages, and their progress."""
 
 from collections.abc import Callable
-from dataclasses import field
 from functools import partial
 from typing import Any
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import update_vertices
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer

@@ -7,10 +7,9 @@ a signed link) is refused.
 
 import os
 import re
-from dataclasses import field
 
 from msal_cli.errors import UsageError
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 
 _URL = re.compile(r"(?P<protocol>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 _FILES = ("file", "local")
