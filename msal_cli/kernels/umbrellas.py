@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.operators import Step
@@ -36,6 +36,26 @@ def _mean_offset(x, ring_start, ring, i):
 def _umbrella(start, stop, x, ring_start, ring, moves):
     for i in range(start, stop):
         vec.store(moves, i, _mean_offset(x, ring_start, ring, i))
+
+
+@compiled
+def _even_out(start, stop, x, normals, ring_start, ring, free, share, moved):
+    for i in range(start, stop):
+        place, normal = vec.load(x, i), vec.load(normals, i)
+        if free[i]:
+            offset = _mean_offset(x, ring_start, ring, i)
+            along = vec.times(vec.dot(offset, normal), normal)
+            place = vec.add_scaled(place, share, vec.subtract(offset, along))
+        vec.store(moved, i, place)
+
+
+def even_out(
+    positions: Floats, normals: Floats, ring_start: Ints, ring: Ints, free: Flags, share: float
+) -> Floats:
+    """Positions (n, 3), the ``free`` ones (n,) by ``share`` of the umbrella within the tangent
+    plane of their normals (n, 3)."""
+    args = positions, normals, ring_start, ring, free, share
+    return fill_array(_even_out, positions.shape, *args)
 
 
 @dataclass(frozen=True, eq=False)

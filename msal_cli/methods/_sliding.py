@@ -4,6 +4,7 @@ import numpy as np
 
 from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.arrays import Floats
+from msal_cli.kernels import umbrellas
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import update_vertices
@@ -131,13 +132,6 @@ def _even_out(mesh: Mesh, passes: int) -> Mesh:
     if mesh.fixed_vertices is not None:
         free &= ~mesh.fixed_vertices
     positions = mesh.vertices
-    nx, ny, nz = normals.T
     for _ in range(passes):
-        moves = apply_umbrella(mesh, positions)
-        moves[~free] = 0.0
-        x, y, z = moves.T
-        heights = (x * nx + z * nz) + y * ny
-        moves -= heights[:, None] * normals
-        moves *= EVEN_STEP
-        positions = positions + moves
+        positions = umbrellas.even_out(positions, normals, *links.one_ring, free, EVEN_STEP)
     return mesh.with_vertices(positions)
