@@ -10,7 +10,7 @@ import logging
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from msal_cli.codecs.detection import READABLE
@@ -88,6 +88,7 @@ def discover_inputs(
     *,
     output: str | None = None,
     failures: list[MsalError] | None = None,
+    warn: Callable[[str], None] = _log.warning,
 ) -> tuple[DiscoveredInput, ...]:
     """The files that ``inputs`` name, each once, in a fixed order.
 
@@ -102,9 +103,9 @@ def discover_inputs(
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
     (see `parse_patterns`); a file is kept if an ``include``, if any, and no ``exclude`` matches.
 
-    Raises UsageError if an input does not exist or is neither file nor folder, or a folder cannot
-    be listed, and NothingMatched if nothing is left.  Why stores do not list a folder is added to
-    ``failures``, if there are other inputs.
+    Raises UsageError if an input does not exist or is neither file nor folder, and NothingMatched
+    if nothing is left.  Why a folder cannot be listed is added to ``failures``, if there is such a
+    list and a file besides; else it is a UsageError.  ``warn`` gets what a user should know.
     """
     included, excluded = parse_patterns(include), parse_patterns(exclude)
     output = None if output is None else urls.normalize_url(output)
@@ -136,7 +137,9 @@ def discover_inputs(
                     failures.append(error)
                     continue
             else:
-                found = _list_tree(Path(root), prefix, _Selection(parts), excluded, own_output)
+                found = _list_tree(
+                    Path(root), prefix, _Selection(parts), excluded, own_output, failures, warn
+                )
         kept = [
             file
             for file in found
@@ -154,7 +157,7 @@ def discover_inputs(
             hint=f"read are {', '.join(READABLE)}; look at the suffixes, --include and --exclude",
         )
     for text in empty:
-        _log.warning("no mesh file is selected by the input %r", text)
+        warn(f"no mesh file is selected by the input {text!r}")
     return tuple(everything.values())
 
 
@@ -281,8 +284,10 @@ def _list_tree(
     selection: _Selection,
     excluded: Sequence[Sequence[str]],
     own_output: str | None,
+    failures: list[MsalError] | None,
+    warn: Callable[[str], None],
 ) -> Iterator[DiscoveredInput]:
-    """The files below a folder that are taken, by name."""
+    """The files below a folder that are taken, by name; ``failures`` as for `discover_inputs`."""
     if selection.is_pattern and not root.is_dir():
         return
     real_root = str(resolve(root))
@@ -298,7 +303,7 @@ def _list_tree(
                 yield DiscoveredInput(place, prefix + relative, str(root))
             continue
         below: list[tuple[str, str, bool]] = []
-        for entry in _scan(place):
+        for entry in _scan(place, failures):
             if _is_skipped(entry.name, selection.with_hidden):
                 continue
             path = entry.name if place == "." else os.path.join(place, entry.name)
@@ -316,32 +321,35 @@ def _list_tree(
                 below.append((path, name, True))
         waiting += sorted(below, key=lambda item: item[1], reverse=True)
     for link in sorted(outside)[:_LINKS_NAMED]:
-        _log.warning(
-            "the link %r leads out of the input folder %r and is skipped; "
-            "name the folder itself as an input to have it too",
-            link,
-            str(root),
+        warn(
+            f"the link {link!r} leads out of the input folder {str(root)!r} and is skipped; "
+            "name the folder itself as an input to have it too"
         )
     if len(outside) > _LINKS_NAMED:
-        _log.warning("%d more links lead out of it", len(outside) - _LINKS_NAMED)
+        warn(f"{len(outside) - _LINKS_NAMED} more links lead out of it")
 
 
 def _is_skipped(name: str, with_hidden: bool) -> bool:
     return is_own(name) or (name.startswith(".") and not with_hidden)
 
 
-def _scan(folder: str) -> list[os.DirEntry[str]]:
+def _scan(folder: str, failures: list[MsalError] | None) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return list(entries)
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise UsageError(
+        failure = InputError(
             f"the folder {folder!r} cannot be listed: {error.strerror}",
             hint="make it readable, or leave it out with --exclude",
             path=folder,
-        ) from None
+            code="E_READ",
+        )
+    if failures is None:
+        raise _refusal(failure)
+    failures.append(failure)
+    return []
 
 
 def _file_type(entry: os.DirEntry[str]) -> str:

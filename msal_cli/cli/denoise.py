@@ -266,7 +266,7 @@ class _Session:
                 gates.refuse_without_reference(self._gates, "give --reference TRUTH")
         # For each record the path of its reference, where there are any.
         self._references: tuple[str, ...] = ()
-        # Folders that their stores did not list.
+        # Folders that could not be listed.
         self._unlisted: list[MsalError] = []
 
     def run(self) -> int:

@@ -29,7 +29,7 @@ from msal_cli.cli.denoise import (
     read_limits,
 )
 from msal_cli.cli.options import PATH, STREAM, group
-from msal_cli.errors import OutputError, ResourceError, UsageError
+from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.settings import output_name
 from msal_cli.storage.urls import is_url
@@ -324,6 +324,7 @@ class Inbox:
         # Since when (s) size and time of a file have stood still; None once it is taken.
         self._known: dict[str, tuple[FileStat, float | None]] = {}
         self._is_listable = True
+        self._warnings: set[str] = set()
         self._next_listing = 0.0
 
     @property
@@ -355,23 +356,32 @@ class Inbox:
                 complete.append((stat.mtime_ns, file))
                 since = None
             known[file.path] = stat, since
-        if self._is_listable:
-            self._known = known
+        # A folder that is away may come back with its files.
+        self._known = known if self._is_listable else self._known | known
         wait_s = min(_LISTED_EVERY_S, max(self._settle_s, 0.1))
         spent = time.monotonic() - now
         self._next_listing = now + spent + max(wait_s, spent / _SHARE_OF_LISTING)
         return [file for _, file in sorted(complete, key=lambda item: (item[0], item[1].path))]
 
     def _list(self) -> Sequence[DiscoveredInput]:
+        earlier, self._warnings = self._warnings, set()
+        unlisted: list[MsalError] = []
+
+        def warn(words: str) -> None:
+            """Log what the listing before this one did not say."""
+            self._warnings.add(words)
+            if words not in earlier:
+                _log.warning("%s", words)
+
         try:
-            found = discover_inputs([self._folder], *self._patterns, output=self._output)
+            found = discover_inputs(
+                [self._folder], *self._patterns, output=self._output, failures=unlisted, warn=warn
+            )
         except NothingMatched:
             found = ()
         except UsageError as error:
-            # A disk that is away may come back.
-            if self._is_listable:
-                _log.warning("%s; msal waits for it", error.message)
-            self._is_listable = False
-            return ()
-        self._is_listable = True
+            unlisted, found = [error], ()
+        for failure in unlisted:
+            warn(f"{failure.message}; msal waits for it")
+        self._is_listable = not unlisted
         return found

@@ -12,7 +12,7 @@ from msal_cli.batch.lock import FolderLock
 from msal_cli.cli.watch import Inbox
 from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
-from tests.files import posix, tree
+from tests.files import make_files, posix, tree
 
 QUICK = ("--settle", "0.1s", "-n", "1")
 
@@ -159,3 +159,21 @@ def test_a_file_is_taken_once_it_stands_still_and_again_when_it_changes(inbox, m
             taken[step] = file.relative
         now += 0.3
     assert taken == {12: "slow.ply", 22: "slow.ply"}
+
+
+@posix
+def test_what_is_wrong_with_a_folder_is_said_once_and_delays_no_other(inbox, monkeypatch, caplog):
+    make_files(inbox, "a.ply", "locked/b.ply")
+    (inbox / "away").symlink_to("..")
+    now, real, locked, taken = 0, os.scandir, str(inbox / "locked"), []
+    file = f"{locked}/b.ply"
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    monkeypatch.setattr(os, "scandir", lambda path: real(file if path == locked else path))
+    box = Inbox(str(inbox), str(inbox.parent / "out"), settle_s=0.5)
+    for now in range(6):
+        taken += [(now, file.relative) for file in box.take_complete()]
+        if now == 3:
+            monkeypatch.setattr(os, "scandir", real)
+    assert taken == [(1, "a.ply"), (5, "locked/b.ply")]
+    assert len(caplog.messages) == 2
+    assert f"{locked!r} cannot be listed: Not a directory; msal waits" in caplog.messages[1]
