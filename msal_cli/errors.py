@@ -5,10 +5,10 @@
     |   `-- MissingInputError   there is no such file or folder (also a FileNotFoundError)
     |-- InputError          the file is at fault
     |   |-- FormatError         it is not what its format says
-    |   |-- TruncatedError      it ends before its own counts are met
+    |   |-- TruncatedError      it is shorter than its own counts say
     |   |-- ContentError        it parses, but holds a mesh that cannot be denoised
     |   |-- UnsupportedError    a format, or a feature of one, that is not read or written
-    |   |-- MissingFileError    it was not there to be read (also a FileNotFoundError)
+    |   |-- MissingFileError    it does not exist when it is read (also a FileNotFoundError)
     |   `-- TooLargeError       a limit against hostile or oversized input was hit
     |-- LossError           a conversion would lose data and --strict forbids it
     |-- OutputError         the output cannot be written
@@ -17,8 +17,8 @@
 
 ``batch`` adds NothingMatched (no input file is selected; exit status 5).
 
-An error carries a stable ``code``, what happened, ``where`` in the file (element, index or line),
-a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words and an exit status.
+An error has a stable ``code``, a message, ``where`` it is in the file (element, index or line),
+a ``hint`` on what to do, and the ``path``.  Only ``cli`` prints it and sets an exit status.
 """
 
 EXPORT_AGAIN = "the file is damaged; export it again"
@@ -35,9 +35,9 @@ class MsalError(Exception):
     ----------
     message : what is wrong and why, one sentence without a full stop.
     where : the place in the file, such as ``"vertex 17"`` or ``"line 204"``.
-    hint : what the user can do about it; ``usual_hint`` where none is given.
-    path : the file; filled in by ``pipeline`` where a reader does not know it.
-    code : overrides the class's stable code.
+    hint : what the user can do about it; by default the ``usual_hint`` of the class.
+    path : the file; set later where the reader does not know it.
+    code : replaces the code of the class.
     """
 
     code = "E_INTERNAL"
@@ -56,13 +56,14 @@ class MsalError(Exception):
 
 
 class UsageError(MsalError):
-    """Wrong use or configuration, or another run at work (``E_LOCKED``); raised before any work."""
+    """Wrong use or configuration, or another run holds the lock (``E_LOCKED``); raised before any
+    work."""
 
     code = "E_USAGE"
 
 
 class MissingInputError(UsageError, FileNotFoundError):
-    """There is no file or folder of that name; found before any work."""
+    """There is no such file or folder; raised before any work."""
 
 
 class InputError(MsalError):
@@ -79,7 +80,7 @@ class FormatError(InputError):
 
 
 class TruncatedError(InputError):
-    """The file ends before its own counts are met."""
+    """The file is shorter than its own counts say."""
 
     code = "E_TRUNCATED"
 
@@ -102,7 +103,7 @@ class UnsupportedError(InputError):
 
 
 class MissingFileError(InputError, FileNotFoundError):
-    """The file is not there to be read."""
+    """The file does not exist when it is read."""
 
     code = "E_READ"
 
@@ -142,10 +143,10 @@ EXTRAS = {"cloud": "fsspec gcsfs s3fs", "dask": "distributed"}
 
 
 def install_hint(extra: str) -> str:
-    """What to do where a package of an extra, such as ``msal-cli[cloud]``, is missing.
+    """The hint for a missing package of an extra, such as ``msal-cli[cloud]``.
 
-    It names the packages: msal may have come from a checkout or a wheel, and pip would look for
-    ``msal-cli`` itself on an index that does not have it.
+    It names the packages, because ``pip install msal-cli[cloud]`` fails where msal was installed
+    from a checkout or a wheel and no index has it.
     """
     return f"pip install {EXTRAS[extra]} (that is msal-cli[{extra}])"
 

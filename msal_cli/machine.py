@@ -1,4 +1,4 @@
-"""What this process may use and has used: cores, memory, and the control groups that limit both."""
+"""Cores and memory: what this process may use, within its control groups, and has used."""
 
 import contextlib
 import contextvars
@@ -19,8 +19,8 @@ PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
 
 def _group_folders(controller: str) -> Iterator[Path]:
-    """The folders of the groups that ``controller`` (``"cpu"``, ``"memory"``) holds this process
-    to, innermost first; both versions of control groups, and nothing where there are none."""
+    """The folders of this process's control groups (version 1 or 2) for ``controller``, which is
+    ``"cpu"`` or ``"memory"``, innermost first."""
     try:
         lines = (PROC / "self/cgroup").read_text(errors="replace").splitlines()
     except OSError:
@@ -31,7 +31,7 @@ def _group_folders(controller: str) -> Iterator[Path]:
         if controllers and controller not in controllers.split(","):
             continue
         inner = base / path.lstrip("/")
-        # A container often sees its own group at the top although the host's path is given.
+        # In a container the path is often the host's, while its own group is mounted at the root.
         for folder in [inner, *inner.parents]:
             if not folder.is_relative_to(base):
                 break
@@ -39,20 +39,21 @@ def _group_folders(controller: str) -> Iterator[Path]:
 
 
 def usable_cores() -> int:
-    """Cores by affinity and by the quota of the control group (containers), at least 1."""
+    """Cores that affinity and the CPU quotas of control groups allow, at least 1."""
     if hasattr(os, "sched_getaffinity"):
         cores = len(os.sched_getaffinity(0))
     else:
         cores = os.cpu_count() or 1
     quota = _quota()
-    # A quota of 1.5 cores is used up better by two workers than by one.
+    # Rounded up: two workers make better use of a quota of 1.5 cores than one.
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
 
 
 def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
-    """Begin ``task`` in a thread of its own; call what is returned for its result, or exception.
+    """Start ``task`` in a thread of its own.  The function returned waits for its end, and returns
+    its result or raises its exception.
 
-    Where the system gives no more threads the task runs at once.
+    If no thread can be started, the task runs before this returns.
     """
     future: Future[Value] = Future()
 
@@ -62,7 +63,7 @@ def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
         except BaseException as failure:
             future.set_exception(failure)
 
-    # Where numpy keeps arrays is a matter of the context, which threads do not inherit.
+    # numpy's memory handler is a context variable, and threads do not inherit the context.
     thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True)
     try:
         thread.start()
@@ -71,10 +72,10 @@ def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
     return future.result
 
 
-# Every large kernel needs it, and a quota is not changed while a process runs.
+# Cached because each large kernel asks; quotas rarely change while a process runs.
 @functools.cache
 def _quota() -> int | None:
-    """The tightest quota of this process's control groups in thousandths of a core, if any."""
+    """The smallest CPU quota of this process's control groups, in thousandths of a core."""
     quotas = map(_quota_of, _group_folders("cpu"))
     return min((quota for quota in quotas if quota is not None), default=None)
 
@@ -93,23 +94,23 @@ def _quota_of(folder: Path) -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Memory that may be taken without anything being killed or swapped; None if it is not known.
+    """Memory that can be allocated without swapping or an out-of-memory kill; None if unknown.
 
-    The least of what the machine has left and what every control group leaves.  Cached files
-    count as free: the system drops them when memory is needed.
+    This is the minimum of what is available in the machine and in each control group.  Cached files
+    count as available, because the system drops them when memory is needed.
     """
     kilobytes = _entry(PROC / "meminfo", "MemAvailable:")
     limits = [None if kilobytes is None else 1024 * kilobytes]
-    limits += map(_of_group, _group_folders("memory"))
+    limits += map(_available_in_group, _group_folders("memory"))
     return min((limit for limit in limits if limit is not None), default=None)
 
 
-def _of_group(folder: Path) -> int | None:
-    for most, used, cached in (
+def _available_in_group(folder: Path) -> int | None:
+    for maximum, used, cached in (
         ("memory.max", "memory.current", "inactive_file"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
     ):
-        limit, usage = _number(folder / most), _number(folder / used)
+        limit, usage = _number(folder / maximum), _number(folder / used)
         if limit is not None and usage is not None:
             free = limit - usage + (_entry(folder / "memory.stat", cached) or 0)
             return max(0, min(limit, free))
@@ -120,12 +121,12 @@ def _number(path: Path) -> int | None:
     try:
         return int(path.read_text())
     except (OSError, ValueError):
-        # "max" is no limit.
+        # "max" means that there is no limit.
         return None
 
 
 def _entry(path: Path, name: str) -> int | None:
-    """The number behind ``name`` in a file of names and numbers."""
+    """The number that follows ``name`` on a line of a file; None if there is none."""
     try:
         lines = path.read_text(errors="replace").splitlines()
     except OSError:
@@ -138,10 +139,10 @@ def _entry(path: Path, name: str) -> int | None:
 
 
 def peak_bytes() -> int | None:
-    """The largest resident size of this process so far; None where it is not known."""
+    """The peak resident set size of this process; None if unknown."""
     if sys.platform == "win32":
         return _peak_on_windows()
-    # What getrusage gives on Linux counts the process that started this one, too.
+    # On Linux the value of getrusage may be the peak of the process that started this one.
     peak = memory_bytes("VmHWM")
     if peak:
         return peak
@@ -152,13 +153,13 @@ def peak_bytes() -> int | None:
 
 
 def forget_peak() -> None:
-    """Have ``peak_bytes`` begin again with what there is now; only on Linux."""
+    """Reset ``peak_bytes`` to the current resident set size; works on Linux only."""
     with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as file:
         file.write("5")
 
 
 def memory_bytes(name: str) -> int:
-    """A figure of ``/proc/self/status`` such as ``VmRSS``; 0 where it is not known."""
+    """A field of ``/proc/self/status`` such as ``VmRSS``, in bytes; 0 if unknown."""
     return 1024 * (_entry(PROC / "self/status", f"{name}:") or 0)
 
 
@@ -176,30 +177,33 @@ def _peak_on_windows() -> int | None:
     counters.size = ctypes.sizeof(Counters)
     kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
     kernel.GetCurrentProcess.restype = ctypes.c_void_p
-    ask = kernel.K32GetProcessMemoryInfo
-    ask.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ulong)
-    if not ask(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size):
+    get_info = kernel.K32GetProcessMemoryInfo
+    get_info.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ulong)
+    if not get_info(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size):
         return None
-    # The first of the eight is the peak of the working set.
+    # PeakWorkingSetSize is the first of the eight fields.
     return int(counters.field_0)
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Whether an error, or what it was raised from, comes of memory that was not given."""
+    """Whether an error, or one of its causes, is a failed allocation of memory."""
     while error is not None:
-        said = str(error)
+        message = str(error)
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
             return True
-        if isinstance(error, ImportError) and "allocate memory" in said:
+        if isinstance(error, ImportError) and "allocate memory" in message:
             return True
-        if isinstance(error, RuntimeError) and "can't start new thread" in said:
+        if isinstance(error, RuntimeError) and "can't start new thread" in message:
             return True
         error = error.__cause__
     return False
 
 
 def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
-    """``499 MB`` or ``3.21 GB``, rounded so that what is refused never looks as if it fitted."""
+    """A size as text, ``499 MB`` or ``3.21 GB``.
+
+    Round a requirement up and a limit down, so that what exceeds the limit looks larger than it.
+    """
     unit, digits = (10**6, 0) if n_bytes <= 999 * 10**6 else (10**9, 2)
     step = unit // 10**digits
     steps = -(-n_bytes // step) if rounded_up else n_bytes // step
@@ -210,10 +214,9 @@ def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of this machine has this id, be it ours or not.
+    """Whether a process with this id runs on this machine.
 
-    One that has ended and waits for its parent to ask how does not count: where the first process
-    of a container never asks, it would wait for ever.
+    Zombies do not count: where process 1 of a container does not reap them, they stay for ever.
     """
     if pid <= 0:
         return False
@@ -232,7 +235,7 @@ def is_alive(pid: int) -> bool:
 
 
 def _is_alive_on_windows(pid: int) -> bool:
-    # os.kill would end the process there, whatever the signal.
+    # os.kill with any signal would end the process on Windows.
     import ctypes
 
     query_limited_information, still_active = 0x1000, 259
@@ -247,7 +250,7 @@ def _is_alive_on_windows(pid: int) -> bool:
 
 
 def iso_timestamp(time_ns: int) -> str:
-    """A time in nanoseconds since 1970 in UTC, ISO 8601, to the millisecond."""
+    """A time in nanoseconds since 1970 as ISO 8601 text in UTC, to the millisecond."""
     try:
         when = datetime.fromtimestamp(time_ns / 1e9, UTC)
     except (OverflowError, ValueError, OSError):

@@ -1,9 +1,9 @@
-"""The one gate between a file's arrays and the mathematics.
+"""The one place where a file's arrays are checked and prepared for the methods.
 
 ``prepare_mesh`` checks shape, type, index range and finiteness once, and makes from the file's
-vertices and triangles a mesh that every method can use: coincident vertices welded, useless faces
-left out, wound one way, about a local origin.  ``PreparedMesh.to_file_vertices`` maps the result
-back to the file's vertices.
+vertices and triangles a mesh that every method can use: coincident vertices are welded, degenerate
+and duplicate faces are left out, the winding is consistent, and the origin is local.
+``PreparedMesh.to_file_vertices`` maps the result back to the file's vertices.
 """
 
 from __future__ import annotations
@@ -37,33 +37,34 @@ from msal_cli.kernels.welding import (
 from msal_cli.light_dataclass import dataclass
 
 MAX_FACES = (2**31 - 1) // 6
-"""Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""
+"""The most triangles whose one-ring offsets always fit 32 bits: 357,913,941."""
 
 LARGE_VERTICES = 500_000
-"""Vertices below which caches hold what is looked at, in whatever order."""
+"""From so many vertices on a mesh exceeds the processor's caches, and its order matters."""
 
 _LANES = 64
-"""Vertices that are compared with others at once."""
+"""Vertices in a row of the array that ``bounds`` reduces."""
 
 LARGEST_EXTENT = 1e60
-"""Fourth powers of much larger extents overflow, and of the reciprocal's vanish."""
+"""File units.  Much beyond it fourth powers of lengths overflow, and below its reciprocal they
+underflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh that is fit for computing."""
+    """A triangle mesh that every method and measure can use."""
 
     vertices: Floats  # (n, 3) float64, finite, about a local origin, file units
     # (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside
     faces: Ints
     # (n,) vertices that must stay where they are; None if all may move
     fixed_vertices: NDArray[np.bool_] | None = None
-    # (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it
+    # (n,) from 0 to 1, a factor of the fidelity (the pull to the data) of each vertex; None for 1
     trust: Floats | None = None
 
     @functools.cached_property
     def topology(self) -> Connectivity:
-        """Neighbourhoods of vertices and counts of edges."""
+        """The one-rings, and counts of boundary, non-manifold and inconsistent edges."""
         return connectivity(len(self.vertices), self.faces)
 
     @functools.cached_property
@@ -72,10 +73,11 @@ class Mesh:
         return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
-        """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
+        """Unit vertex normals (n, 3), averaged over the one-ring ``mollify`` times; zeros where a
+        vertex has no normal.
 
-        ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  They
-        are computed once and shared: do not write to them.
+        ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  The
+        array is computed once and shared: do not write to it.
         """
         known = self._cached_normals
         if (weighting, mollify) not in known:
@@ -83,8 +85,8 @@ class Mesh:
             if done:
                 normals = known[weighting, max(done)]
             elif weighting == "uniform" and "_left_normals" in self.__dict__:
-                # Those that counting flat faces has left behind are not kept for a second time,
-                # for they take as much memory as the vertices.
+                # Left by ``flat_faces``.  They are moved, not shared, because a second reference
+                # would keep as much memory as the vertices take.
                 normals = self.__dict__.pop("_left_normals")
             else:
                 normals = geometry.vertex_normals(self.vertices, self.faces, weighting)
@@ -103,8 +105,8 @@ class Mesh:
 
     @functools.cached_property
     def flat_faces(self) -> int:
-        """How many faces have no normal."""
-        # Nearly every method asks for these normals next, and all are measured along them.
+        """The number of faces without a normal."""
+        # The same pass computes vertex normals, which nearly every method and measure needs next.
         self.__dict__["_left_normals"], flat = geometry.normals_and_flat_faces(
             self.vertices, self.faces, "uniform"
         )
@@ -113,9 +115,8 @@ class Mesh:
     def with_constraints(
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
-        """The same mesh with vertices that are fixed, or trusted more or less; see above."""
+        """The same mesh with these constraints; its cached properties are shared."""
         other = Mesh(self.vertices, self.faces, fixed_vertices, trust)
-        # All that is known of vertices and faces goes with them.
         own = {name: value for name, value in self.__dict__.items() if name not in other.__dict__}
         other.__dict__.update(own)
         return other
@@ -135,8 +136,8 @@ Value = TypeVar("Value")
 def cached_by_mesh(
     compute: Callable[Concatenate[Mesh, Given], Value],
 ) -> Callable[Concatenate[Mesh, Given], Value]:
-    """``compute``, which runs once for each mesh and what else is given; the values, which must not
-    hold the mesh, are kept as long as it."""
+    """Decorator: cache the values of ``compute`` by mesh and other arguments, as long as the mesh
+    exists.  A value must not refer to the mesh, which would then never be freed."""
     cache: weakref.WeakKeyDictionary[Mesh, dict[object, Value]] = weakref.WeakKeyDictionary()
 
     @functools.wraps(compute)
@@ -151,23 +152,23 @@ def cached_by_mesh(
 
 @dataclass(frozen=True)
 class Defects:
-    """What was found, and put aside for the mathematics, when a mesh was prepared."""
+    """Counts of the defects that ``prepare_mesh`` found and worked around."""
 
-    # vertices that coincide with an earlier one and are treated as one with it
+    # vertices that coincide with an earlier one and are merged with it
     welded_vertices: int
     unreferenced_vertices: int  # vertices that no usable face has; they stay where they are
     degenerate_faces: int  # faces with a repeated vertex (left out) or without area (no normal)
     duplicate_faces: int  # faces whose three vertices an earlier face has; left out
     boundary_edges: int  # edges with one face
     non_manifold_edges: int  # edges with more than two faces
-    inconsistent_edges: int  # edges whose two faces are wound against each other, in the file
-    turned_faces: int  # faces turned round so that the mathematics sees one winding
-    unorientable_parts: int  # parts that have no consistent winding and are taken as they are
-    components: int  # connected parts
+    inconsistent_edges: int  # edges whose two faces have opposite winding in the file
+    turned_faces: int  # faces flipped in memory to make the winding consistent
+    unorientable_parts: int  # components without a consistent winding; left as they are
+    components: int  # connected components
 
     @property
     def volume_objection(self) -> str:
-        """Why the volume is not to be trusted; empty if it is."""
+        """Why the enclosed volume is not well defined; empty if it is."""
         if self.boundary_edges:
             return f"open ({format_count(self.boundary_edges, 'boundary edge')})"
         if self.non_manifold_edges:
@@ -179,20 +180,21 @@ class Defects:
 
 @dataclass(frozen=True, eq=False)
 class PreparedMesh:
-    """A mesh for the mathematics and the way back to the file's vertices."""
+    """A mesh to compute with, and the map back to the file's vertices."""
 
-    mesh: Mesh  # welded, cleaned, wound one way, about ``origin``
+    mesh: Mesh  # welded, cleaned, consistently wound, relative to ``origin``
     origin: Floats  # (3,), subtracted from the file's positions
-    # (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or None where they are the
-    # same, one for one.  Of a mesh in random order the numbers of its vertices and faces follow the
-    # surface, not the file
+    # (n_file,) int32, the mesh vertex of each file vertex, -1 for none; None for the identity.
+    # A mesh that the file stores in random order is sorted in space, so its vertices and faces have
+    # other indices than in the file
     vertex_map: Ints | None
-    defects: Defects  # what was found on the way
+    defects: Defects
 
     def to_file_vertices(self, vertices: Floats, original: Floats) -> Floats:
         """File positions (n_file, 3) for mesh positions (n, 3).
 
-        A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
+        A file vertex without a mesh vertex, or whose mesh vertex did not move, keeps exactly its
+        value in ``original`` (n_file, 3).
         """
         mesh = self.mesh
         return scatter(
@@ -200,20 +202,21 @@ class PreparedMesh:
         )
 
     def seam_gap(self, vertices: Floats) -> float:
-        """Largest distance between file positions (n_file, 3) that were one point before."""
+        """Largest distance, file units, between file vertices that coincided in the input and are
+        now at ``vertices`` (n_file, 3)."""
         if self.vertex_map is None or not self.defects.welded_vertices:
             return 0.0
         return widest_gap(vertices, self.vertex_map, len(self.mesh.vertices))
 
 
 def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> PreparedMesh:
-    """Check a file's arrays and make them fit for computing.
+    """Check a file's arrays and prepare them as a mesh to compute with.
 
     Parameters
     ----------
     vertices : (n, 3) real numbers, file units.
     faces : (m, 3) integers, zero-based.
-    are_distinct : no two vertices are at one position, and need not be looked for.
+    are_distinct : no two vertices coincide, so the search for them is skipped.
 
     Raises ContentError with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``;
     TooLargeError for more than ``MAX_FACES`` triangles.
@@ -234,8 +237,8 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     if not are_distinct:
         tasks: list[Callable[[], Any]] = [lambda: first_alike(vertices, used)]
         if is_worth_it(n_file) and not repeated.any() and not array_files.are_used():
-            # Nearly always there is nothing to weld, and the rings are right.  In files the places
-            # of both, which are anywhere, would push one another out of memory.
+            # Usually there is nothing to weld, and this connectivity is already right.  Not where
+            # arrays are kept in files: the two tasks would evict each other's pages from memory.
             tasks.append(lambda: connectivity(n_file, faces))
         (first, n_welded), *linked = at_once(n_file, *tasks)
         links = linked[0] if linked and not n_welded else None
@@ -271,7 +274,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         links = connectivity(len(vertices), faces)
     n_duplicate = 0
     if links.non_manifold_edges or links.inconsistent_edges:
-        # Faces can only share all three vertices where some edge is crowded or twisted.
+        # Duplicate faces always make an edge non-manifold or inconsistently wound.
         duplicate = duplicate_faces(faces)
         n_duplicate = int(duplicate.sum())
         if n_duplicate:
@@ -315,7 +318,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
 
 
 def _require_extent(low: Floats, high: Floats) -> float:
-    """The longest side of a box; ContentError for one that floats cannot compute with."""
+    """The longest side of a bounding box; ContentError if computations would over- or underflow."""
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -328,22 +331,24 @@ def _require_extent(low: Floats, high: Floats) -> float:
 
 
 def bounds(vertices: Floats) -> tuple[Floats, Floats]:
-    """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
-    # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
+    """Minimum and maximum of each coordinate, (3,) each; NaN and infinities propagate."""
+    # numpy is slow to reduce the first axis of an array with short rows, so rows are made longer.
     whole = len(vertices) // _LANES * _LANES
     rows = vertices[:whole].reshape(-1, 3 * _LANES)
     ends = []
-    for least in (np.minimum, np.maximum):
+    for extremum in (np.minimum, np.maximum):
         parts = [vertices[whole:]]
         if whole:
-            parts.append(least.reduce(rows, axis=0).reshape(-1, 3))
-        ends.append(least.reduce(np.concatenate(parts), axis=0))
+            parts.append(extremum.reduce(rows, axis=0).reshape(-1, 3))
+        ends.append(extremum.reduce(np.concatenate(parts), axis=0))
     return ends[0], ends[1]
 
 
 def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
-    """The arrays with the right shape and type and the vertices' bounds, or the reason why they
-    cannot be used."""
+    """Check the arrays: vertices as float64, faces as int32, and the bounds of the vertices.
+
+    Raises the errors of ``prepare_mesh``.
+    """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
     if not faces.size:
@@ -369,7 +374,7 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
             code="E_INDEX",
             hint="give faces.astype(int) if they are whole numbers",
         )
-    # Seen as unsigned, a negative index is a very large one.
+    # Viewed as unsigned integers, negative indices are very large, so one comparison is enough.
     is_within = (
         int(faces.view(np.uint32).max()) < n
         if faces.dtype == np.int32
@@ -399,7 +404,7 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
 
 
 def _reshape_hint(array: NDArray[Any], name: str) -> str:
-    """What to give in place of an array of a wrong shape."""
+    """The hint for an array of the wrong shape."""
     if array.ndim == 2 and array.shape[0] == 3:
         return f"each row must be one of them: give {name}.T"
     if array.ndim == 1 and array.size % 3 == 0:

@@ -1,12 +1,12 @@
-"""Noise on meshes: how to add a known amount; ``noise_estimate`` tells how much there is.
+"""Adding a known amount of noise to a mesh; ``noise_estimate`` estimates how much there is.
 
-Every kind is a field of heights, one number per vertex, with a direction of displacement, a
-weight over the surface and, for some, a rule applied afterwards::
+Each kind of noise is a field of heights, one number per vertex, with a direction of displacement,
+a weight over the surface and, for some kinds, a last step::
 
-    heights   white, or shared by neighbours: averaged ``rings`` times over closed one-rings
-    direction vertex normals, one axis, or none (every coordinate on its own)
-    weight    1, or by place or angle
-    rule      depths rounded, or single vertices moved far
+    heights   white, or correlated: averaged ``rings`` times over closed one-rings
+    direction vertex normals, one axis, or none (each coordinate independently)
+    weight    1, or depending on the position or on the angle to the axis
+    last step depths are rounded, or single vertices are moved far
 """
 
 import math
@@ -24,48 +24,49 @@ from msal_cli.mesh import Mesh
 KINDS: dict[str, tuple[str, ...]] = {
     "gaussian-normal": (),  # Gaussian along the vertex normals
     "gaussian": (),  # Gaussian in each coordinate
-    "uniform": (),  # in each coordinate, as docs/reproduction.md remakes the paper's Table 1
-    "mixed": (),  # along the normals, and as much along a random direction across: Fig. 7
+    "uniform": (),  # uniform in each coordinate, for the paper's Table 1 in docs/reproduction.md
+    "mixed": (),  # along the normals, and as much along a random tangent, as in the paper's Fig. 7
     "impulsive": ("fraction",),  # along the normals, at a fraction of the vertices only
     "correlated": ("rings",),  # along the normals, averaged over one-rings
     "view": ("rings", "direction"),  # along one direction, as from a single scanner position
-    "quantised": ("rings", "direction", "step"),  # the same, depths rounded to steps
-    "grazing": ("rings", "direction"),  # the same, more where the surface is seen at an angle
-    "half": ("rings", "direction", "border"),  # along the normals, where a direction points to
-    "ramp": ("rings", "direction"),  # along the normals, growing from nothing along a direction
+    "quantised": ("rings", "direction", "step"),  # as "view", with depths rounded to steps
+    "grazing": ("rings", "direction"),  # as "view", stronger where the surface is oblique to it
+    "half": ("rings", "direction", "border"),  # along the normals, on the half towards a direction
+    "ramp": ("rings", "direction"),  # along the normals, growing from 0 along a direction
     "outliers": ("rings", "fraction"),  # along the normals; a fraction of the vertices far off
 }
-"""The kinds of noise that ``add_noise`` adds, and what each uses besides level and seed."""
+"""The kinds of noise that ``add_noise`` adds, and the settings of each besides level and seed."""
 
 MAX_RINGS = 100
-"""Most averages over one-rings: neighbours then share their noise over some 8 rings."""
+"""The most averages over one-rings; the noise is then correlated over about 8 rings."""
 
 GRAZING_CAP = 5.0
-"""Most growth of ``grazing``, reached at 78 degrees: scanners drop points seen flatter still."""
+"""Largest factor of ``grazing`` noise, reached at an angle of incidence of 78 degrees: scanners
+drop points at larger angles."""
 
 OUTLIER_REACH = (1.0, 3.0)
-"""Least and greatest displacement of an outlier, mean edge lengths."""
+"""Minimum and maximum displacement of an outlier, mean edge lengths."""
 
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """What to add; a kind ignores the settings that it does not use."""
+    """The noise to add; a kind ignores the settings that it does not use."""
 
     kind: str  # one of ``KINDS``
     # standard deviation in mean edge lengths: greater is noisier.  Where the noise varies over the
-    # surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end.  Of ``uniform``
-    # the largest move of a coordinate
+    # surface, that at weight 1: ``grazing`` where the surface faces the scanner, ``ramp`` at its
+    # end.  For ``uniform`` the largest displacement of a coordinate
     level: float = 0.2
-    seed: int = 0  # from 0; another one gives other noise of the same kind
+    seed: int = 0  # from 0; another seed gives other noise of the same kind
     fraction: float = 0.1  # share of the vertices that ``impulsive`` and ``outliers`` move, 0 to 1
-    # how many times heights are averaged over closed one-rings: greater is shared more widely.
-    # None is the kind's own, 2 for ``correlated`` and 0 (white) for the others
+    # how many times heights are averaged over closed one-rings: greater is correlated more widely.
+    # None is the kind's default, 2 for ``correlated`` and 0 (white) for the others
     rings: int | None = None
-    # of the view, (3,), of any length; for ``half`` and ``ramp`` where there is more
+    # (3,), of any length: the axis of the view; ``half`` and ``ramp`` are noisier towards it
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     step: float = 0.5  # of ``quantised`` depths, mean edge lengths: greater is coarser
-    # of ``half``, where the level grows from nothing; share of the extent along the direction, 0
-    # (sharp) to 1
+    # width of the zone of ``half`` in which the level grows from 0, a share of the extent along the
+    # direction, 0 (sharp) to 1
     border: float = 0.0
 
     def __post_init__(self) -> None:
@@ -97,7 +98,7 @@ class AddedNoise:
         return ", ".join(f"{name} {value}" for name, value in used.items())
 
     def count_rings(self) -> int:
-        """Averages over one-rings, the kind's own where none are given."""
+        """``rings``, or the kind's default if it is None."""
         if self.rings is not None:
             return self.rings
         return 2 if self.kind == "correlated" else 0
@@ -106,8 +107,8 @@ class AddedNoise:
 def build_noise(
     kind: str, level: float, seed: int, given: Mapping[str, Any], prefix: str = ""
 ) -> AddedNoise:
-    """The noise with the settings that are ``given``; UsageError for one that the kind does not
-    use.  ``prefix`` stands before names in messages."""
+    """The noise with the settings ``given``; UsageError for a setting that the kind does not use.
+    ``prefix`` precedes names in messages."""
     noise = AddedNoise(kind, level, seed, **given)
     for name in given:
         if name not in KINDS[kind]:
@@ -122,7 +123,7 @@ def build_noise(
 def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
     """Positions (n, 3) of the mesh with noise added, the same for the same arguments.
 
-    Vertices that no face uses have no normal, and are not moved by what goes along it.
+    Vertices that no face uses have no normal, so noise along the normals does not move them.
     """
     draw = np.random.Generator(np.random.PCG64(noise.seed))
     n = len(mesh.vertices)
@@ -159,20 +160,19 @@ def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
     result = mesh.vertices + heights[:, None] * normals
     if noise.kind == "outliers":
         moved = draw.permutation(n)[: round(noise.fraction * n)]
-        ways = draw.standard_normal((len(moved), 3))
-        ways /= np.sqrt((ways * ways).sum(axis=1))[:, None]
+        directions = draw.standard_normal((len(moved), 3))
+        directions /= np.sqrt((directions * directions).sum(axis=1))[:, None]
         lengths = edge * draw.uniform(*OUTLIER_REACH, len(moved))
-        result[moved] = mesh.vertices[moved] + lengths[:, None] * ways
+        result[moved] = mesh.vertices[moved] + lengths[:, None] * directions
     return result
 
 
 def grazing_growth(normals: Floats, axis: Floats) -> Floats:
-    """Growth (n,) of the noise along the unit vector ``axis`` (3,) for unit normals (n, 3).
+    """Factors (n,) of the noise along the unit vector ``axis`` (3,) for unit normals (n, 3).
 
-    1 / cos of the angle of incidence, as the signal returned by a surface falls (Soudarissanane,
-    Lindenbergh, Menenti and Teunissen 2009, "Incidence angle influence on the quality of
-    terrestrial laser scanning points"), up to ``GRAZING_CAP``.  Faces that look away count as
-    those that look at the scanner: 1 / abs(cos).
+    1 / abs(cos) of the angle of incidence, at most ``GRAZING_CAP``: the signal that a surface
+    returns is proportional to the cosine (Soudarissanane, Lindenbergh, Menenti and Teunissen 2009,
+    "Incidence angle influence on the quality of terrestrial laser scanning points").
     """
     cosines = np.abs((normals * axis).sum(axis=1))
     growth: Floats = 1.0 / np.maximum(cosines, 1.0 / GRAZING_CAP)
@@ -180,28 +180,28 @@ def grazing_growth(normals: Floats, axis: Floats) -> Floats:
 
 
 def _regional_weights(mesh: Mesh, noise: AddedNoise, axis: Floats) -> Floats:
-    """What the heights of kinds along the normals are multiplied with, (n,)."""
+    """Factors (n,) of the heights: for ``half`` and ``ramp`` by position along the axis, else 1."""
     if noise.kind not in ("half", "ramp"):
         return np.ones(len(mesh.vertices))
     depths = (mesh.vertices * axis).sum(axis=1)
     used = depths[mesh.topology.has_ring]
     low, extent = float(used.min()), float(np.ptp(used))
     if not extent:
-        # A flat sheet seen head-on is all in the middle.
+        # A flat sheet across the axis has no half and no ramp.
         return np.ones(len(depths))
     shares: Floats = np.clip((depths - low) / extent, 0.0, 1.0)
     if noise.kind == "ramp":
         return shares
     if not noise.border:
         return np.where(shares > 0.5, 1.0, 0.0)
-    ways = np.clip((shares - 0.5) / noise.border + 0.5, 0.0, 1.0)
-    smooth: Floats = ways * ways * (3.0 - 2.0 * ways)
-    return smooth
+    t = np.clip((shares - 0.5) / noise.border + 0.5, 0.0, 1.0)
+    smoothstep: Floats = t * t * (3.0 - 2.0 * t)
+    return smoothstep
 
 
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (n, 3) each at right angles to the normals and to each other."""
-    # From the axis that the normal leans to least.
+    """Two unit vectors (n, 3) each, orthogonal to the normals (n, 3) and to each other."""
+    # The cross product with the coordinate axis that is farthest from parallel to the normal.
     axis = np.zeros_like(normals)
     axis[np.arange(len(normals)), np.abs(normals).argmin(axis=1)] = 1.0
     first = np.cross(normals, axis)

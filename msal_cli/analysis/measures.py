@@ -1,9 +1,8 @@
 """Measures of a mesh, and of how its surface changed.
 
-Displacements, distances from surface to surface, area, volume, mean curvature, the local scale of
-the paper, the angles between face normals, faces that intersect each other, what a closed surface
-encloses whichever side its normals point to, and changes so large that they are damage rather than
-denoising.
+Displacements, distances between surfaces, area, signed and enclosed volume, mean curvature, the
+local scale sigma of the paper, angles between face normals, self-intersections, and changes so
+large that they are damage rather than denoising.
 """
 
 import math
@@ -19,13 +18,13 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
 FLAT = 1e-9
-"""A volume below this share of area ** 1.5 is rounding: the surface encloses nothing."""
+"""A volume below this share of area ** 1.5 is a rounding error: the surface encloses nothing."""
 
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Mean, root mean square, 95th percentile and maximum of distances, file units, and how many
-    are not 0."""
+    """Mean, root mean square, 95th percentile and maximum of distances, file units, and the number
+    of non-zero ones."""
 
     mean: float
     rms: float
@@ -35,7 +34,7 @@ class DistanceStatistics:
 
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
-    """Statistics of distances (n,), zeros for none."""
+    """Statistics of distances (n,); zeros if n is 0."""
     if not len(lengths):
         return DistanceStatistics(0.0, 0.0, 0.0, 0.0, 0)
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
@@ -49,7 +48,8 @@ def distance_statistics(lengths: Floats) -> DistanceStatistics:
 
 
 def displacement(before: Mesh, after: Mesh) -> DistanceStatistics:
-    """How far the vertices that faces use are apart in two meshes with the same faces."""
+    """Distances between corresponding vertices of two meshes with the same faces; vertices that no
+    face uses do not count."""
     lengths, is_used = geometry.distances(before.vertices, after.vertices), before.topology.has_ring
     return distance_statistics(lengths if is_used.all() else lengths[is_used])
 
@@ -61,11 +61,11 @@ def vertex_error_percent(reference: Mesh, other: Mesh) -> float:
 
 @dataclass(frozen=True)
 class SurfaceChange:
-    """Areas in squared and signed volumes in cubed file units, and the angles between corresponding
-    face normals, over the faces that have one in both meshes.
+    """Areas in squared file units, signed volumes in cubed ones, and angles between corresponding
+    face normals, over the faces that have a normal in both meshes.
 
-    ``mean_angular_error_deg`` is what much of the literature prints as MSAE;
-    ``flipped_faces`` turned by more than a right angle.
+    ``mean_angular_error_deg`` is what much of the literature calls MSAE; ``flipped_faces`` is the
+    number of faces that turned by more than a right angle.
     """
 
     area_before: float
@@ -93,11 +93,11 @@ def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
 
 
 def mean_curvature(mesh: Mesh) -> Floats:
-    """Mean curvature (n,), one over file units: 1/r on a sphere of radius r wound outward.
+    """Mean curvature (n,), 1 / file units: 1/r on a sphere of radius r with normals outwards.
 
-    Half the length of the cotangent Laplacian over the mixed Voronoi area (Meyer et al. 2003),
-    positive where it points against the vertex normal: on what bulges outward.  At open edges, and
-    at vertices without area, it is 0, for it means nothing there.
+    The cotangent Laplacian over the mixed Voronoi area is the mean curvature normal, of length 2 H
+    (Meyer et al. 2003, eq. (8)).  H is positive where the surface is convex.  It is not defined at
+    boundary vertices and at vertices without area; there the value is 0.
     """
     from msal_cli.kernels.curvature import cotangent_weights, mixed_areas
 
@@ -111,17 +111,16 @@ def mean_curvature(mesh: Mesh) -> Floats:
         gradient[:, axis] = np.bincount(owner, steps, minlength=len(x))
     length = np.sqrt((gradient * gradient).sum(axis=1))
     side = np.sign((gradient * mesh.vertex_normals()).sum(axis=1))
-    means_something = ~links.boundary & (areas > 0.0)
-    curvature: Floats = side * length / (4.0 * np.where(means_something, areas, np.inf))
+    is_defined = ~links.boundary & (areas > 0.0)
+    curvature: Floats = side * length / (4.0 * np.where(is_defined, areas, np.inf))
     return curvature
 
 
 def local_scale(mesh: Mesh, normals: Floats) -> Floats:
     """sigma (n,) of eq. (4), file units; 0 where the one-ring is flat.
 
-    It is 2 mean|h - mean h| over the heights h of the one-ring above the plane across each normal.
-
-    ``normals`` are (n, 3), of unit length or zero.
+    It is 2 mean|h - mean h| over the heights h of the one-ring above the tangent plane that the
+    vertex's normal defines.  ``normals`` are (n, 3), of unit length or zero.
     """
     from msal_cli.kernels.operators import RingOperator
 
@@ -136,9 +135,9 @@ def local_scale(mesh: Mesh, normals: Floats) -> Floats:
 def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     """Area in squared and signed volume in cubed file units (Desbrun et al. 1999).
 
-    The volume means something only where the surface is closed, manifold and wound one way; that
-    of an open surface is the one seen from the mesh's local origin.  It is negative where the
-    surface is inside out.
+    The volume is well defined only if the surface is closed, manifold and consistently wound; for
+    an open surface it depends on the mesh's local origin.  It is negative if the surface is inside
+    out.
     """
     return geometry.area_and_volume(mesh.vertices, mesh.faces)
 
@@ -149,11 +148,11 @@ def is_negative(volume: float, area: float) -> bool:
 
 
 def relative_volume_change(before: float, after: float, area: float) -> float | None:
-    """Change of the volume that a closed surface encloses, over what it enclosed before.
+    """(after - before) / before of the volume of a closed surface.
 
-    ``before`` and ``after`` are volumes of the same faces with one sign, ``area`` is the area
-    before.  Less is shrinking, also of negative volumes; below -1 the surface passed through
-    itself.  None where it encloses nothing before.
+    ``before`` and ``after`` are signed volumes of the same faces, ``area`` is the area before.
+    Negative values mean shrinking, also where the signed volume is negative; below -1 the surface
+    was turned inside out.  None if the surface enclosed nothing before.
     """
     if abs(before) <= _flat_volume(area):
         return None
@@ -165,15 +164,16 @@ def _flat_volume(area: float) -> float:
 
 
 def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
-    """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value."""
+    """The umbrella operator (n, 3) of values (n, 3): the mean over the one-ring minus the value."""
     return geometry.apply_umbrella(values, *mesh.topology.one_ring, mesh.topology.has_ring)
 
 
 def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
-    """Heights (n,) averaged ``rings`` times over closed one-rings, with a root mean square of 1.
+    """Heights (n,) averaged ``rings`` times over closed one-rings and scaled to a root mean square
+    of 1.
 
-    Neighbours then share noise: on a regular triangle grid the correlation with a neighbour is
-    0.57 after one average and 0.78 after two.  With no rings they are returned as they are.
+    They are then correlated: on a regular triangle grid the correlation with a neighbour is 0.57
+    after one average and 0.78 after two.  With 0 rings the heights are returned unchanged.
     """
     if not rings:
         return heights
@@ -186,46 +186,47 @@ def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
 
 
 def count_self_intersections(mesh: Mesh) -> int:
-    """How many pairs of faces intersect; see ``kernels.intersections``.
+    """The number of intersecting pairs of faces; see ``kernels.intersections``.
 
-    Faces without area are left out: they touch their neighbours all along an edge.
+    Degenerate faces do not count: they touch their neighbours along a whole edge.
     """
-    return len(_pairs(mesh))
+    return len(_intersection_keys(mesh))
 
 
 def self_intersection_change(before: Mesh, after: Mesh) -> tuple[int, int, int]:
-    """The counts for a mesh and the same faces at other positions, and how many pairs intersect
-    after that did not before."""
-    pairs = _pairs(before)
+    """The numbers of intersecting pairs before and after, and of those that are new; both meshes
+    have the same faces."""
+    keys = _intersection_keys(before)
     if np.array_equal(before.vertices, after.vertices):
-        return len(pairs), len(pairs), 0
-    later = _pairs(after)
-    return len(pairs), len(later), len(np.setdiff1d(later, pairs, assume_unique=True))
+        return len(keys), len(keys), 0
+    later = _intersection_keys(after)
+    return len(keys), len(later), len(np.setdiff1d(later, keys, assume_unique=True))
 
 
-def _pairs(mesh: Mesh) -> Longs:
-    """A number for each pair of faces that intersect, the same for the same faces."""
+def _intersection_keys(mesh: Mesh) -> Longs:
+    """An integer for each intersecting pair of faces (i, j): i * n_faces + j."""
     from msal_cli.kernels.intersections import intersecting_pairs
 
     has_area = np.flatnonzero(geometry.face_normals(mesh.vertices, mesh.faces).any(axis=1))
     pairs = has_area[intersecting_pairs(mesh.vertices, mesh.faces[has_area])]
-    numbers: Longs = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
-    return numbers
+    keys: Longs = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
+    return keys
 
 
-# A mesh against another whose vertices need not correspond
+# Distances between meshes whose vertices need not correspond
 
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
-"""Distances below this share of the coordinates are taken for none."""
+"""Distances below this share of the largest coordinate are rounding errors, and set to 0."""
 
 MIN_SCALE, MAX_SCALE = 1e-50, 1e50
-"""Coordinates outside are divided by the greatest: their sixth powers would vanish or overflow."""
+"""If the largest coordinate is outside, all are divided by it, because sixth powers of coordinates
+would underflow or overflow."""
 
 MAX_POINTS = 4_000_000
-"""Vertices and face centres of a mesh up to which the distances of all are measured."""
+"""Up to so many vertices and face centres of a mesh, the distances of all are measured."""
 
 SAMPLED_POINTS = 1_000_000
-"""How many are measured of more: every fifth, sixth and so on, evenly spread over the file."""
+"""About how many are measured of more: each fifth, sixth and so on, in the order of the file."""
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
@@ -239,22 +240,22 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
         points, vertices, unit = points / scale, vertices / scale, scale
     triangles, distances = find_nearest_triangles(points, vertices, surface.faces)
     distances *= unit
-    # What lies on the surface is off by the last digits of its coordinates.
     distances[distances < ROUNDING * scale] = 0.0
     return triangles, distances
 
 
 def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
-    """The prepared mesh with its vertices where ``vertices`` (n_file, 3) of another file are.
+    """The prepared mesh with the positions ``vertices`` (n_file, 3) of another file.
 
-    Of file vertices that are one in the mesh the first counts; see ``PreparedMesh.seam_gap``.
+    Where several file vertices are one mesh vertex, the position of the first is used, although
+    they may lie apart in the other file; see ``PreparedMesh.seam_gap``.
     """
     if ready.vertex_map is None:
         return ready.mesh.with_vertices(vertices - ready.origin)
     positions = np.array(ready.mesh.vertices)
-    # The first comes last, and so prevails.
-    there = np.flatnonzero(ready.vertex_map >= 0)[::-1]
-    positions[ready.vertex_map[there]] = vertices[there] - ready.origin
+    # In reverse order, so that the first of them is assigned last.
+    mapped = np.flatnonzero(ready.vertex_map >= 0)[::-1]
+    positions[ready.vertex_map[mapped]] = vertices[mapped] - ready.origin
     return ready.mesh.with_vertices(positions)
 
 
@@ -265,7 +266,7 @@ def used_vertices(mesh: Mesh) -> Floats:
 
 
 def sampling_step(mesh: Mesh) -> int:
-    """Every which vertex and face centre of a mesh ``surface_distances`` looks at."""
+    """The step k of the sample of ``surface_distances``: each k-th vertex and face centre."""
     count = len(mesh.vertices) + len(mesh.faces)
     return 1 if count <= MAX_POINTS else -(-count // SAMPLED_POINTS)
 
@@ -273,12 +274,11 @@ def sampling_step(mesh: Mesh) -> int:
 def surface_distances(
     before: Mesh, after: Mesh
 ) -> tuple[DistanceStatistics, DistanceStatistics, float]:
-    """Distances of ``after``'s vertices to ``before``'s surface, the other way round, and the
-    Hausdorff distance, file units; both meshes are about one origin.
+    """Distances of ``after``'s vertices to ``before``'s surface, of ``before``'s vertices to
+    ``after``'s surface, and the Hausdorff distance, file units; both meshes have the same origin.
 
-    The Hausdorff distance is taken over the vertices and the centres of the faces of both meshes:
-    what lies between them might be a little further away.  Of large meshes they are those of a
-    sample, see ``sampling_step``.
+    The Hausdorff distance is the maximum over the vertices and face centres of both meshes, so it
+    may be a little too small.  Large meshes are sampled, see ``sampling_step``.
     """
     figures, largest = [], 0.0
     for points_of, surface in ((after, before), (before, after)):
@@ -291,35 +291,36 @@ def surface_distances(
     return figures[0], figures[1], largest
 
 
-# What a closed surface encloses
+# The volume that a closed surface encloses
 #
-# The signed volume is negative where a surface is inside out, and in a file of several parts one
-# that is inside out counts against the others.  Here each part is taken with its normals outwards,
-# but for cavities: a part within another one keeps its winding relative to that one.
+# A component that is inside out has a negative signed volume, which reduces the sum of all.  For
+# the enclosed volume such a component is flipped.  A component within another one is flipped if the
+# outer one is, so that cavities stay cavities.
 
 MAX_PARTS = 1000
-"""Parts beyond which only the sum of all is looked at: each is compared with each other."""
+"""With more components only the sign of the total volume is considered, because each component is
+compared with each other one."""
 
 INSIDE_OUT = "the surface is inside out: its normals point inwards"
 
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """Which faces of a closed surface have their normals inwards."""
+    """The faces of a closed surface whose normals point inwards."""
 
-    # (m,) the faces of parts that are inside out; None if there are none
+    # (m,) whether each face belongs to a component that is inside out; None if no component is
     inward: Flags | None
-    n_turned: int  # n_turned, n_parts: how many parts are inside out, and how many there are
-    n_parts: int
+    n_turned: int  # components that are inside out
+    n_parts: int  # all components
 
     @property
     def is_inside_out(self) -> bool:
-        """Whether the surface, or a part of it, is inside out."""
+        """Whether at least one component is inside out."""
         return self.inward is not None
 
     @property
     def words(self) -> str:
-        """Which parts are inside out, in words; empty if none is."""
+        """A message on the components that are inside out; empty if none is."""
         if not self.is_inside_out:
             return ""
         if self.n_turned == self.n_parts:
@@ -330,7 +331,7 @@ class Enclosure:
         )
 
     def volume(self, mesh: Mesh, signed: float) -> float:
-        """The volume that ``mesh``, with these faces and this ``signed`` volume, encloses."""
+        """The volume that a ``mesh`` with these faces and this ``signed`` volume encloses."""
         if self.inward is None:
             return signed
         if self.inward.all():
@@ -339,7 +340,7 @@ class Enclosure:
         return area_and_volume(Mesh(mesh.vertices, faces))[1]
 
     def change(self, before: Mesh, after: Mesh, change: SurfaceChange) -> SurfaceChange:
-        """``change`` with the volumes that are enclosed in place of the signed ones."""
+        """``change`` with enclosed volumes in place of signed ones."""
         return replace(
             change,
             volume_before=self.volume(before, change.volume_before),
@@ -347,7 +348,7 @@ class Enclosure:
         )
 
     def outward_signs(self, mesh: Mesh) -> Floats:
-        """1 where normals point outwards and -1 where they point inwards, for each vertex (n,)."""
+        """For each vertex 1 if its normal points outwards, -1 if inwards, (n,)."""
         signs = np.ones(len(mesh.vertices))
         if self.inward is not None:
             signs[mesh.faces[self.inward]] = -1.0
@@ -355,12 +356,12 @@ class Enclosure:
 
 
 def measure_enclosure(ready: PreparedMesh) -> Enclosure:
-    """What a surface encloses; one that has no volume has no inside."""
+    """The enclosure of a prepared mesh; without a well-defined volume no face counts as inward."""
     return enclosure_of(ready.mesh, ready.defects, *area_and_volume(ready.mesh))
 
 
 def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
-    """The same for a mesh of which ``area`` and signed ``volume`` are known."""
+    """As ``measure_enclosure``, for a mesh whose ``area`` and signed ``volume`` are known."""
     n_parts = defects.components
     if defects.volume_objection:
         return Enclosure(None, 0, n_parts)
@@ -377,7 +378,7 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     numbers, part_of_face = np.unique(labels[first], return_inverse=True)
     n_parts = len(numbers)
     normals, face_areas = geometry.face_normals_and_areas(mesh.vertices, mesh.faces)
-    # A face and the origin span a third of area times height.
+    # The tetrahedron of a face and the origin has a third of area times height as its volume.
     heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
     areas = np.bincount(part_of_face, face_areas, n_parts)
     volumes = np.bincount(part_of_face, face_areas * heights, n_parts) / 3.0
@@ -389,7 +390,7 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     low, high = np.full((n_parts, 3), np.inf), np.full((n_parts, 3), -np.inf)
     np.minimum.at(low, part_of_vertex, mesh.vertices[used])
     np.maximum.at(high, part_of_vertex, mesh.vertices[used])
-    # Each part is as the largest one whose box it lies in: itself, if there is none.
+    # A component follows the largest component whose bounding box contains its own, or itself.
     is_within = (low[:, None] > low[None]).all(axis=2) & (high[:, None] < high[None]).all(axis=2)
     is_within |= np.eye(n_parts, dtype=bool)
     outermost = np.where(is_within, (high - low).prod(axis=1)[None], -1.0).argmax(axis=1)
@@ -400,58 +401,59 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
 
 # Damage
 #
-# Two rules hold whatever the noise is.  The volume of a closed surface changed by more than
-# half.  Or more faces flipped (turned by more than a right angle) than 2 % of all, and three for
-# every two faces that were folded before: strong noise across the normals folds faces over, and
-# unfolding them flips them.  On six models with Gaussian noise of 0.1 to 0.6 edges in each
-# coordinate the true surface flips 0 to 30 % of the faces, at most 1.2 for each folded one; along
-# the normals it flips 1.7 % at most.  CAD meshes have no folds, and where a filter collapses them
-# half of the faces flip.
+# Two rules apply at any level of noise.  A change is harmful if the volume of a closed surface
+# changed by more than half; or if more faces flipped (turned by more than a right angle) than 2 %
+# of all plus 1.5 for each face that was folded before.  Strong tangential noise folds faces over,
+# and unfolding flips them.  On six models with Gaussian noise of 0.1 to 0.6 edges in each
+# coordinate, restoring the true surface flips 0 to 30 % of the faces, at most 1.2 for each folded
+# face; with noise along the normals at most 1.7 % of the faces.  CAD meshes have no folds, and half
+# of the faces flip where a filter collapses them.
 #
-# Three more hold where the noise is known: volume, area, and how far vertices moved, by what noise
-# of that level explains.  On seven models with noise of 0.05 to 0.7 edges along the normals and in
-# each coordinate the true surface has 0.02 times noise x area of the volume more or less at most,
-# an area that is less by 4 times the noise squared, and 95 % of the vertices within 2.8 times the
-# noise.
+# Three more rules apply if the level of noise is known: it limits the changes of volume and area
+# and the displacements.  On seven models with noise of 0.05 to 0.7 edges along the normals and in
+# each coordinate, restoring the true surface changes the volume by at most 0.02 times noise x area,
+# reduces the area by a share of at most 4 times the noise squared, and moves 95 % of the vertices
+# by at most 2.8 times the noise.
 
 FLIPPED_SHARE = 0.02
 """Share of the faces that may flip on a mesh without folds."""
 
 FLIPPED_AREA = 0.01
-"""Share of the area whose faces may flip, however many they are: needles flip by tiny moves.  Two
-unevenly triangulated shapes with noise of 0.1 along the normals flip 3 and 4 % of their faces, with
-0.4 and 0.7 % of the area, when AL removes most of it."""
+"""Faces with less than this share of the area may flip however many they are, because small
+displacements flip needles.  Where AL removes most of a noise of 0.1 along the normals from two
+unevenly triangulated shapes, 3 and 4 % of the faces flip, with 0.4 and 0.7 % of the area."""
 
 FLIPS_PER_FOLD = 1.5
-"""Faces more that may flip for each face that is folded before."""
+"""Additional faces that may flip for each face that was folded before."""
 
 VOLUME_SHARE = 0.5
 """Share of its volume that a closed surface may lose or gain."""
 
 MIN_VOLUME, VOLUME_PER_NOISE = 0.01, 0.1
-"""Share of its volume that a closed surface may lose or gain without noise, and what it may beyond,
-in the volume of a layer over it that is as thick as the noise."""
+"""Share of its volume that a closed surface may lose or gain without noise, and the additional
+volume with noise, in volumes of a layer on the surface as thick as the level of noise."""
 
 MIN_AREA, AREA_PER_NOISE = 0.02, 6.0
-"""Share of its area that a surface may lose or gain without noise, and what it may lose beyond for
-each squared level."""
+"""Share of its area that a surface may lose or gain without noise, and the additional share that it
+may lose, over the square of the level in mean edge lengths."""
 
 AREA_EXPLAINED = 2.0
-"""Times the share of ``explained_area`` that it may lose, where that is more.  On twelve unevenly
-triangulated shapes with noise of 0.05 to 0.5 the true surface has 0.6 to 1.75 times that less."""
+"""Factor of ``explained_area``, which replaces the additional share of area where it is greater.
+On twelve unevenly triangulated shapes with noise of 0.05 to 0.5, restoring the true surface removes
+0.6 to 1.75 times ``explained_area``."""
 
 MIN_MOVE, MOVE_PER_NOISE = 0.02, 6.0
-"""Mean edge lengths that one in 20 vertices may move without noise, and beyond, in its levels, if
-it is out of the surface."""
+"""Mean edge lengths by which one in 20 vertices may move along its normal without noise, and the
+additional distance with noise, over its level."""
 
 NAMED_LEEWAY = 3.0
-"""Times the bounds that a method may use which the user has named."""
+"""Factor of these bounds for a method that the user chose by name."""
 
 MAX_NOISE = 0.7
-"""Mean edge lengths of noise that bounds allow for; meshes that read more are no scans."""
+"""Largest level of noise that bounds allow for, mean edge lengths; no scan has more."""
 
 MAX_SAMPLED = 65_536
-"""Faces that are looked at for folds."""
+"""About how many faces are checked for folds."""
 
 FLIPPED, VOLUME = "W_FLIPPED_FACES", "W_VOLUME_CHANGE"
 AREA, MOVES = "W_AREA_CHANGE", "W_LARGE_MOVES"
@@ -459,8 +461,8 @@ AREA, MOVES = "W_AREA_CHANGE", "W_LARGE_MOVES"
 
 @dataclass(frozen=True)
 class Harm:
-    """A harmful change: its ``code``, ``FLIPPED``, ``VOLUME``, ``AREA`` or ``MOVES``, and the
-    figures as ``reason``."""
+    """A harmful change: its ``code`` (``FLIPPED``, ``VOLUME``, ``AREA`` or ``MOVES``), and as
+    ``reason`` a message with the figures."""
 
     code: str
     reason: str
@@ -469,20 +471,20 @@ class Harm:
 def harmful_change(
     before: Mesh, after: Mesh, change: SurfaceChange, *, has_volume: bool
 ) -> Harm | None:
-    """The harm between two meshes with the same faces, None if there is none.
+    """The change between two meshes with the same faces if it is harmful at any level of noise;
+    None if it is not.
 
     Parameters
     ----------
-    change : ``measure_surface_change(before, after)``, best with the volumes that are enclosed
-        (``Enclosure.change``): those of parts that are inside out would count against the others.
-    has_volume : whether the volume means anything (``Defects.volume_objection`` is empty).
+    change : ``measure_surface_change(before, after)``, preferably with the enclosed volumes of
+        ``Enclosure.change``: signed volumes of components that are inside out reduce the sum.
+    has_volume : whether the volume is well defined (``Defects.volume_objection`` is empty).
     """
     share = _volume_share(change, has_volume)
     if share is not None and abs(share) > VOLUME_SHARE:
         return Harm(VOLUME, f"the volume changed by {100.0 * share:+.1f} %")
     n_flipped, n_faces = change.flipped_faces, len(before.faces)
     allowed = FLIPPED_SHARE * n_faces
-    # Folds are counted only where that can matter.
     if (
         n_flipped > allowed
         and n_flipped > allowed + FLIPS_PER_FOLD * folded_faces(before)
@@ -501,7 +503,6 @@ def _flipped_area(before: Mesh, after: Mesh) -> float:
 
 
 def _volume_share(change: SurfaceChange, has_volume: bool) -> float | None:
-    """Relative change of the volume, None where it means nothing."""
     if not has_volume:
         return None
     return relative_volume_change(change.volume_before, change.volume_after, change.area_before)
@@ -517,14 +518,14 @@ def excessive_change(
     has_volume: bool,
     leeway: float = 1.0,
 ) -> Harm | None:
-    """A change that noise of ``noise_edges`` mean edge lengths does not explain, None if it does.
+    """The change if it is more than noise of ``noise_edges`` mean edge lengths explains, else None.
 
     Parameters
     ----------
-    before, after : with the same faces; ``before`` as the method got it.
+    before, after : input and output of the method, with the same faces.
     change : between them, see ``harmful_change``.
     p95_edges : 95th percentile of the displacements, mean edge lengths.
-    leeway : factor of all bounds.
+    leeway : factor of all bounds; greater allows more.
     """
     noise = min(noise_edges, MAX_NOISE)
     words = f"noise of {noise:.2g} e explains"
@@ -550,10 +551,11 @@ def excessive_change(
 
 
 def explained_area(mesh: Mesh, noise_edges: float) -> float:
-    """Share of the area of ``mesh`` that noise of ``noise_edges`` mean edge lengths has added.
+    """Expected share of the area of ``mesh`` that comes from noise of ``noise_edges`` mean edge
+    lengths along the normals.
 
-    Along the normals it adds s^2 (a^2 + b^2 + c^2) / 4 to the squared area of a face, s the noise
-    and a, b, c the edges: to a needle much more than to an even triangle.
+    Such noise of standard deviation s adds s^2 (a^2 + b^2 + c^2) / 4 to the squared area of a face
+    with edges a, b, c: relatively much more to needles than to equilateral triangles.
     """
     noise = noise_edges * mesh.mean_edge_length
     _, areas = geometry.face_normals_and_areas(mesh.vertices, mesh.faces)
@@ -566,22 +568,22 @@ def explained_area(mesh: Mesh, noise_edges: float) -> float:
 
 
 def _p95_across(before: Mesh, after: Mesh) -> float:
-    """95th percentile of the ways out of the surface, mean edge lengths; ways within it change
-    nothing that is seen."""
-    ways = after.vertices - before.vertices
-    across = np.abs(np.einsum("ij,ij->i", ways, before.vertex_normals("uniform", 1)))
+    """95th percentile of the displacements along the normals, mean edge lengths; tangential
+    displacements hardly change the surface."""
+    moves = after.vertices - before.vertices
+    across = np.abs(np.einsum("ij,ij->i", moves, before.vertex_normals("uniform", 1)))
     across = across[before.topology.has_ring]
     return float(quantiles(across, (0.95,))[0]) / before.mean_edge_length
 
 
 def folded_faces(mesh: Mesh) -> int:
-    """How many faces face away from the mollified normals at their corners.
+    """The number of faces whose normals are opposite to the mollified normals at their corners.
 
-    Of more than ``MAX_SAMPLED`` faces every k-th one is counted, and the count is scaled.
+    Large meshes are sampled: each k-th face is tested, and the count is multiplied by k.
     """
     step = max(len(mesh.faces) // MAX_SAMPLED, 1)
     faces = np.ascontiguousarray(mesh.faces[::step])
     # Most methods have computed these normals.
     around = mesh.vertex_normals("uniform", 1)[faces].sum(axis=1)
-    alike = np.einsum("ij,ij->i", geometry.face_normals(mesh.vertices, faces), around)
-    return int(np.count_nonzero(alike < 0.0)) * step
+    cosines = np.einsum("ij,ij->i", geometry.face_normals(mesh.vertices, faces), around)
+    return int(np.count_nonzero(cosines < 0.0)) * step

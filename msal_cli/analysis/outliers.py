@@ -1,7 +1,7 @@
-"""Outlier vertices: found, and brought back to the surface that their neighbours make.
+"""Detection of outlier vertices, and their projection onto the surface of their neighbours.
 
-Single vertices that a scanner puts one edge and more out of the surface, in any direction, also two
-to five neighbours together.  Nothing else moves.
+An outlier is a vertex that a scanner put one edge length or more off the surface, in any direction,
+alone or together with up to four neighbours.  No other vertex moves.
 """
 
 import math
@@ -24,61 +24,62 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 ROUGH = 0.85
-"""Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and
-so has strong noise; flat and smooth places have more."""
+"""Vertices are tested if the agreement of their face normals is below it: spikes, folds and strong
+noise have less, flat and smooth regions have more."""
 
 BOUND = 1.3
-"""Score from which a vertex is an outlier where few others are."""
+"""Score above which a vertex is an outlier, where outliers are few."""
 
 USUAL, STEP, MAX_STEPS = 0.0005, 0.17, 0.8
-"""Where more than the ``USUAL`` share of vertices are outliers, a vertex is one more likely: the
-bound is less by ``STEP`` for each factor of e, up to ``MAX_STEPS``, unless they may be noise."""
+"""The more outliers there are, the more likely a vertex is one: the bound is reduced by ``STEP``
+times the logarithm of their share of the vertices over ``USUAL``, by ``MAX_STEPS`` at most, unless
+they may be noise."""
 
 MAX_PASSES = 12
-"""Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
+"""Adjacent spikes mask one another, so each pass takes only those with locally maximal scores."""
 
 NEW_SHARE = 0.1
-"""Share of the outliers that are new, above which the noise of the others is estimated anew."""
+"""If more than this share of the outliers is new, the noise of the others is estimated again."""
 
 RETURNS = 2
-"""Passes that bring back all outliers at once, each among the places of the others."""
+"""Passes that project all outliers at once, each by the new positions of the others."""
 
 FEW_OUTLIERS = 0.002
-"""Share of the vertices up to which outliers hardly change the level of the noise, which is that of
-the flattest places."""
+"""Up to this share of the vertices outliers hardly change the estimated level of noise, which is
+that of the flattest regions."""
 
 MAX_SHARE = 0.12
-"""Share of the vertices beyond which they are noise rather than outliers."""
+"""With more than this share of the vertices they are noise rather than outliers."""
 
 CERTAIN, MIN_CERTAIN = 3.0, 0.02
-"""Score from which an outlier is certain, and the share of the outliers that are certain from which
-they are brought back by default.  Of planted ones 17 % are and more, of the spikes of
-a raw scan 3 %, and none of the tips and ridges of a coarse model that seem to be outliers."""
+"""Score above which an outlier is certain, and the share of certain ones from which outliers are
+projected by default.  At least 17 % of synthetic outliers are certain, 3 % of the spikes of a raw
+scan, and none of the tips and ridges of a coarse model that look like outliers."""
 
 FEW = 0.008
-"""Share of the vertices below which outliers of a mesh without noise whose edges are flat to
-rounding are points of the design, such as what shrink-wrapping leaves."""
+"""Fewer outliers than this share of the vertices, on a mesh without noise that has coplanar faces,
+are points of the design, such as those left by shrink-wrapping."""
 
 APART = 6.0
-"""Ways of the outliers, in the median, over the noise of all others, from which that is so: those
-of impulsive noise on many vertices are its tail, and a filter that knows of them does better."""
+"""Median displacement of outliers, over the noise of the other vertices, from which they are not
+just its tail.  Impulsive noise on many vertices has less, and a filter for it does better."""
 
 MIN_ALIGNED, ALIGNED_SHARE, TIP_FACES = 3, 0.5, 3
-"""How many outliers, and what share of them, with exactly the same coordinate are points of a
-design: corners of its long thin faces.  So are as many that are tips of only ``TIP_FACES`` faces,
-which hardly a vertex of a scan is, and such a share with mirror images."""
+"""Outliers are points of a design if so many of them, and such a share, have exactly the same
+coordinate, like corners of long thin faces; or have at most ``TIP_FACES`` faces, which is rare in
+scans.  So they are if such a share has mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
     """The outliers of a mesh."""
 
-    flags: Flags  # (n,) which vertices they are
-    vertices: Floats  # (n, 3) positions with them brought back, all others as they were
-    # whether they are to be brought back by default: some are certain, and they are no tail of the
-    # noise
+    flags: Flags  # (n,) whether each vertex is an outlier
+    vertices: Floats  # (n, 3) positions with the outliers projected, all others unchanged
+    # whether the outliers should be projected by default: they stand out from the noise, and are no
+    # points of a design
     are_clear: bool
-    # of the vertices, 0 to 1, that seemed to be outliers; beyond ``MAX_SHARE`` none is flagged
+    # share of the vertices, 0 to 1, that seemed to be outliers; above ``MAX_SHARE`` none is flagged
     share: float
 
     @property
@@ -88,21 +89,22 @@ class Outliers:
 
     @property
     def count(self) -> int:
-        """How many they are."""
+        """The number of outliers."""
         return int(np.count_nonzero(self.flags))
 
 
 def find_outliers(mesh: Mesh) -> Outliers:
-    """The outliers of a mesh, and their places on the surface.
+    """The outliers of a mesh, and their projections onto the surface.
 
-    A vertex is compared with a robust fit of degree 2 to its two-ring without itself: how far it is
-    across and along the surface, how rough its faces make the surface, and how rough it would be
-    with the vertex in its place.  All is in units of the local edges, less what noise and texture
-    around it explain.  Corners, edges and tips that their faces around them go on are smooth that
-    way.  Nor are vertices of flat sides, exact to rounding, of needle triangles and among edges of
-    very unlike lengths: exports of designs have such, meshes from scanners do not.  Fixed vertices,
-    and those on open borders, are never outliers.  It costs about as much as
-    one sweep where there are none.
+    A robust quadratic is fitted to the two-ring of a vertex without the vertex itself.  The score
+    adds the distance of the vertex from the fit along the normal, its tangential distance from the
+    mean of its neighbours, and how much rougher its faces are than they would be with the vertex on
+    the fit.  It is in units of local edge lengths, and is reduced by the noise and texture around
+    the vertex.  A corner, edge or tip whose surroundings continue it has a low score.
+
+    Never outliers are vertices with coplanar faces, of needle triangles, or among edges of very
+    different lengths, because CAD exports have such vertices and scans do not; nor are fixed and
+    boundary vertices.  Without outliers the cost is about that of one sweep.
     """
     return _Search(mesh, BOUND).run()
 
@@ -121,11 +123,9 @@ class _Search:
             self.may_move &= ~mesh.fixed_vertices
         self.scores = np.full(n, outliers.NOT_JUDGED)
         self.flags = np.zeros(n, dtype=np.bool_)
-        # Of the others, once it is estimated.
-        self.noise: NoiseLevel | None = None
+        self.noise: NoiseLevel | None = None  # cache of ``_noise``
 
     def run(self) -> Outliers:
-        """All passes."""
         mesh = self.mesh
         n_used = max(int(np.count_nonzero(mesh.topology.has_ring)), 1)
         self._measure_agreement(np.arange(len(self.flags)))
@@ -145,14 +145,14 @@ class _Search:
             share = int(np.count_nonzero(self.flags)) / n_used
             if share > MAX_SHARE:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
-            # What is not found yet is among the spikes, so they do not count here.
+            # Spikes among the others may be undetected outliers: the level without spikes counts.
             are_apart = are_apart or (
                 share > USUAL
                 and not self._are_in_noise(share)
                 and self._are_beyond(self._noise().mean_edges)
             )
             if are_apart and self.floor == BOUND:
-                # The bound gets lower, and scores up to this one were left out.
+                # The bound becomes lower than the floor, below which no scores were computed.
                 return _Search(mesh, outliers.MIN_SCORE).run()
             before, bound = bound, BOUND
             if are_apart:
@@ -161,7 +161,7 @@ class _Search:
                 break
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
-        # What is no outlier any more now that its neighbours are in their places goes back.
+        # Those that are no outliers once their neighbours are projected keep their positions.
         found = np.flatnonzero(self.flags)
         wrong = found[self._judge(found)[0] <= bound]
         if len(wrong):
@@ -170,9 +170,8 @@ class _Search:
         self.noise = None
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
-        # Along one of the axes of the file.
-        at = mesh.vertices[self.flags].T
-        n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in at)
+        coordinates = mesh.vertices[self.flags].T
+        n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in coordinates)
         n_tips = np.count_nonzero(np.diff(mesh.topology.ring_start)[self.flags] <= TIP_FACES)
         are_designed = max(n_aligned, n_tips) >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
         are_designed |= are_mirrored(mesh, np.flatnonzero(self.flags), ALIGNED_SHARE)
@@ -180,13 +179,13 @@ class _Search:
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
     def _are_off_noise(self, are_certain: bool, share: float) -> bool:
-        """Whether the others have much less noise than the outliers.  Where none of these is
-        certain, there must be noise, and more of them than noise alone seems to have; points of a
-        design that were moved look like noise."""
+        """Whether the outliers are displaced much farther than the noise of the other vertices.  If
+        none is certain, there must also be noise, and more outliers than noise alone seems to
+        have."""
         if (not are_certain and share <= USUAL) or self._are_in_noise(share):
             return False
         after = self._noise()
-        # What looks like noise, and is not, is detail, which outliers exceed as well.
+        # Detail that may be noise: the outliers must exceed its upper bound.
         is_detail = after.is_negligible and after.is_unsure
         if not self._are_beyond(after.high if is_detail else after.rms_edges):
             return False
@@ -199,38 +198,38 @@ class _Search:
         return is_sure and not estimate_noise(self.mesh).is_negligible
 
     def _are_in_noise(self, share: float) -> bool:
-        """Whether few outliers went no further than the noise of the mesh as it is, which a choice
-        asks for as well: that of the others need not be estimated."""
-        few = share <= FEW_OUTLIERS
-        return few and not self._are_beyond(estimate_noise(self.mesh).mean_edges)
+        """Whether there are few outliers, displaced no farther than the noise of the whole mesh.
+        That estimate is needed for a choice anyway, and saves the one without outliers."""
+        are_few = share <= FEW_OUTLIERS
+        return are_few and not self._are_beyond(estimate_noise(self.mesh).mean_edges)
 
     def _noise(self) -> NoiseLevel:
-        """The noise of all others, or of nearly as many."""
+        """The noise with the outliers projected; a few of the newest may be missing."""
         if self.noise is None:
             self.noise = estimate_noise(self.mesh.with_vertices(self.positions))
         return self.noise
 
     def _are_beyond(self, noise_edges: float) -> bool:
-        """Whether the outliers went much further than noise of so many mean edge lengths does."""
-        ways = distances(self.mesh.vertices[self.flags], self.positions[self.flags])
-        return len(ways) > 0 and median(ways) >= APART * noise_edges * self.mesh.mean_edge_length
+        """Whether the outliers are displaced much farther than this level of noise."""
+        moves = distances(self.mesh.vertices[self.flags], self.positions[self.flags])
+        return len(moves) > 0 and median(moves) >= APART * noise_edges * self.mesh.mean_edge_length
 
     def _measure_agreement(self, changed: Longs) -> None:
-        """Set the agreement of the faces around vertices (c,) whose surroundings have changed."""
+        """Update the agreement of the face normals at the vertices ``changed`` (c,)."""
         mesh = self.mesh
         outliers.measure_agreement(
             self.positions, mesh.faces, mesh.topology, changed, self.agreements
         )
 
     def _score(self, changed: Longs) -> None:
-        """Set the scores of such vertices."""
+        """Update the scores of the vertices ``changed`` (c,)."""
         self.scores[changed] = outliers.NOT_JUDGED
         is_rough = self.agreements[changed] < ROUGH
         chosen = changed[is_rough & self.may_move[changed] & ~self.flags[changed]]
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
 
     def _judge(self, chosen: Longs, is_known: bool = True) -> tuple[Floats, Floats]:
-        """Scores (c,) of vertices where the file has them, and their places (c, 3) on the fit."""
+        """Scores (c,) of vertices at their positions in the file, and projections (c, 3)."""
         mesh = self.mesh
         return outliers.judge(
             chosen,
@@ -245,7 +244,7 @@ class _Search:
         )
 
     def _bring_back(self, found: Longs) -> Longs:
-        """Move outliers to their places on the fits; the vertices whose surroundings change."""
+        """Project outliers onto their fits; returns the vertices whose surroundings changed."""
         self.positions[found] = self._judge(found)[1]
         changed = outliers.find_two_rings(found, self.mesh.topology)
         self._measure_agreement(changed)

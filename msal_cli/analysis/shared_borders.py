@@ -1,7 +1,7 @@
-"""The borders of meshes that touch: which border points of different ones are one.
+"""Border points that the meshes of a set of files share.
 
-A border point is a place at the end of an edge with one face.  Vertices of one mesh that coincide
-are one point already, as they are when the mesh is denoised by itself.
+A border point is a position at an end of a boundary edge.  Vertices of one mesh that coincide are
+one point, because they are welded when the mesh is denoised by itself.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,19 +16,19 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import PreparedMesh
 
 NEAR_EDGES = 0.25
-"""Distance in mean edge lengths below which a border point lies at the border of another file."""
+"""Distance in mean edge lengths up to which a border point lies at the border of another file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Border:
     """The border points of one file."""
 
-    positions: Floats  # (k, 3) float64, as the file stores them; no two are alike
+    positions: Floats  # (k, 3) float64, as the file stores them; all different
     vertices: Longs  # (v,) int64, the vertices of the file at these points, ascending
-    points: Ints  # (v,) int32, the point of each
+    points: Ints  # (v,) int32, the point of each of these vertices
     # (k,) int64, a corner of a face at each point: an index into the flattened faces
     corners: Longs
-    edges: Ints  # (e, 2) int32, edges with one face, between points
+    edges: Ints  # (e, 2) int32, boundary edges between points
 
 
 def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) -> Border:
@@ -44,12 +44,13 @@ def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) ->
     vertices = np.flatnonzero(point_of_vertex >= 0)
     points = point_of_vertex[vertices].astype(np.int32)
     positions = np.empty((n_points, 3))
-    # Of those that coincide the first counts, which may have another sign of zero.
+    # In reverse order, so that the first of coinciding vertices is assigned last: its zeros may
+    # have other signs.
     positions[points[::-1]] = file_vertices[vertices[::-1]]
     corner_points = point_of_vertex[file_faces.reshape(-1)]
-    at = np.flatnonzero(corner_points >= 0)
+    is_at_point = np.flatnonzero(corner_points >= 0)
     corners = np.zeros(n_points, dtype=np.int64)
-    corners[corner_points[at[::-1]]] = at[::-1]
+    corners[corner_points[is_at_point[::-1]]] = is_at_point[::-1]
     row_start, row = boundary_curves(mesh.faces, mesh.topology)
     ends = np.repeat(np.arange(len(boundary), dtype=np.int32), np.diff(row_start))
     edges = np.stack([ends, row[: len(ends)]], axis=1)
@@ -58,51 +59,51 @@ def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) ->
 
 @dataclass(frozen=True, eq=False)
 class SharedBorders:
-    """Which border points of the files of a set are one.
+    """The border points of the files of a set, and the groups of points that are the same.
 
-    The points of all files stand behind one another, in the order of the files."""
+    The points of all files are concatenated, in the order of the files."""
 
     starts: Longs  # (files + 1,) first point of each file
     positions: Floats  # (n, 3) of all points, as the files store them
     file_of: Ints  # (n,) int32, the file of each point
-    group: Longs  # (n,) int64, the first point that a point is one with: itself where it is alone
+    group: Longs  # (n,) int64, the first point of each point's group
 
     @property
     def is_shared(self) -> Flags:
-        """(n,) whether any other file has the point."""
+        """(n,) whether another file has the point."""
         shared: Flags = np.bincount(self.group, minlength=len(self.group))[self.group] > 1
         return shared
 
     @property
     def joined_positions(self) -> Floats:
-        """(n, 3) where the points are in the joined mesh: at that of the first file that has it."""
+        """(n, 3) positions in the joined mesh: those in the first file that has the point."""
         first = self.positions[self.group]
-        # A zero of another sign is kept.
+        # Where they are equal, a point keeps its own zeros, whose signs may differ.
         return np.where((first != self.positions).any(axis=1)[:, None], first, self.positions)
 
     def pairs(self) -> Iterator[tuple[Longs, Longs]]:
-        """All pairs of points that are one, in a few arrays."""
+        """All pairs of points of one group, as two arrays at a time."""
         order = np.argsort(self.group, kind="stable")
         group = self.group[order]
         for step in range(1, len(order)):
-            at = np.flatnonzero(group[step:] == group[:-step])
-            if not len(at):
+            ranks = np.flatnonzero(group[step:] == group[:-step])
+            if not len(ranks):
                 return
-            yield order[at], order[at + step]
+            yield order[ranks], order[ranks + step]
 
     def distances(self, positions: Floats) -> Floats:
-        """(n,) for each point the largest distance to another that is one with it, if points lie
-        at ``positions`` (n, 3); NaN counts as no position."""
+        """(n,) the largest distance of each point to another of its group, with the points at
+        ``positions`` (n, 3); rows with NaN are ignored."""
         largest = np.zeros(len(self.group))
         for a, b in self.pairs():
-            way = positions[a] - positions[b]
-            lengths = np.nan_to_num(np.sqrt((way * way).sum(axis=1)), nan=0.0)
+            offsets = positions[a] - positions[b]
+            lengths = np.nan_to_num(np.sqrt((offsets * offsets).sum(axis=1)), nan=0.0)
             np.maximum.at(largest, a, lengths)
             np.maximum.at(largest, b, lengths)
         return largest
 
     def neighbours(self) -> list[list[int]]:
-        """For each file those that share a point with it, in order."""
+        """For each file the indices of the files that share a point with it, ascending."""
         rows: list[set[int]] = [set() for _ in range(len(self.starts) - 1)]
         for a, b in self.pairs():
             for file, other in np.unique(self.file_of[np.stack([a, b], axis=1)], axis=0).tolist():
@@ -116,8 +117,11 @@ class SharedBorders:
 
 
 def share_borders(borders: Sequence[Border], is_single: Sequence[bool]) -> SharedBorders:
-    """Which points of these files are one: those at one position, in single precision where one of
-    the files stores only that, as ``is_single`` says of each."""
+    """Group the border points at equal positions.
+
+    Positions are compared in single precision where one of the files stores them so, which
+    ``is_single`` says of each file.
+    """
     counts = [len(border.positions) for border in borders]
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     positions = np.concatenate([np.empty((0, 3)), *(border.positions for border in borders)])
@@ -136,8 +140,8 @@ def _first_alike(positions: Floats) -> Longs:
 
 
 def _join_rounded(group: Longs, place: Longs, is_single: Flags, file_of: Ints) -> None:
-    """Join the points at one ``place`` (n,) with a point in single precision, unless two of them
-    are points of one file."""
+    """Set the ``group`` (n,) of points to their ``place`` (n,), the first point at their rounded
+    position, if one of the points there is in single precision and no two are of one file."""
     has_single = np.zeros(len(place), dtype=np.bool_)
     has_single[place[is_single]] = True
     at = np.flatnonzero(has_single[place])
@@ -150,8 +154,8 @@ def _join_rounded(group: Longs, place: Longs, is_single: Flags, file_of: Ints) -
 
 
 def count_unmatched(borders: Sequence[Border], shared: SharedBorders, edge: float) -> list[int]:
-    """For each file its border points that lie at the border of another file, within
-    ``NEAR_EDGES`` times ``edge``, the mean edge length, but are no points of it."""
+    """For each file the number of border points that lie at the border of another file, within
+    ``NEAR_EDGES`` times ``edge``, the mean edge length, but are shared with no file."""
     radius = NEAR_EDGES * edge
     is_alone = ~shared.is_shared
     low, high = np.full((len(borders), 3), np.inf), np.full((len(borders), 3), -np.inf)
@@ -171,7 +175,7 @@ def count_unmatched(borders: Sequence[Border], shared: SharedBorders, edge: floa
         if not len(points) or not len(edges):
             counts.append(0)
             continue
-        # A triangle without area is an edge.
+        # Edges, as degenerate triangles.
         triangles = np.ascontiguousarray(edges[:, [0, 1, 1]], dtype=np.int32)
         _, distances = find_nearest_triangles(points, shared.positions, triangles)
         counts.append(int(np.count_nonzero(distances <= radius)))
