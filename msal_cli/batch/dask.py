@@ -1,9 +1,9 @@
 """Many files on a Dask cluster, each as a task.
 
-What a file does to the process that works on it (a segfault, memory that runs out) must not cost
-the Dask worker, so the task is done by a ``WorkerPool`` of one process.  Dask gives a task to
-another worker when one dies, and gives up (``KilledWorker``) when several did; then the file is
-tried again at the end, alone.
+A file may crash the process that works on it (a segfault, memory that runs out).  So that this does
+not cost the Dask worker, each task runs in a ``WorkerPool`` of one process.  When a Dask worker
+dies, Dask gives its tasks to others, and gives up on a task (``KilledWorker``) after several
+deaths; that file is tried again at the end, alone.
 """
 
 import collections
@@ -40,9 +40,9 @@ _log = logging.getLogger("msal.dask")
 
 
 class DaskEngine:
-    """A ``schedule.Engine`` on Dask distributed; all workers must see the inputs and outputs.
+    """A ``schedule.Engine`` on the Dask cluster whose scheduler has the address ``scheduler``.
 
-    ``scheduler`` is an address.
+    All its workers must see the inputs and outputs by the same paths.
     """
 
     def __init__(self, work: Work, scheduler: str) -> None:
@@ -53,7 +53,7 @@ class DaskEngine:
         self._is_stopped = self._is_interrupted = False
 
     def stop(self) -> None:
-        """Hand out nothing more; files of tasks that have begun are not reported."""
+        """Give up the tasks that have not ended; their files are not reported."""
         self._is_stopped = True
 
     def interrupt(self) -> None:
@@ -69,11 +69,11 @@ class DaskEngine:
         finally:
             if client is not None:
                 with contextlib.suppress(Exception):
-                    # The scheduler drops the tasks of a client that is gone.
+                    # The scheduler drops the tasks of a client that has disconnected.
                     client.close(timeout=_CLOSED_WITHIN_S)
             for probe in self._probes:
                 Path(probe).unlink(missing_ok=True)
-            # A worker of this machine that was killed with its Dask worker cannot do that itself.
+            # A process killed with its Dask worker on this machine leaves its temporary files.
             sweep(output_folders(self._work.tasks.values()))
 
     def _run(self, client: Any) -> Generator[list[Message], None, None]:
@@ -84,7 +84,7 @@ class DaskEngine:
         order = sorted(self._work.tasks, key=lambda index: -weights.get(index, 0))
         indices = {self._submit(client, index): index for index in order}
         ended = as_completed(indices, loop=client.loop, with_results=True, raise_errors=False)
-        # Lost with their workers, as others may have been beside them: they go last, one by one.
+        # Tasks whose workers died, perhaps because of another task: they run last, one by one.
         suspects: list[int] = []
         tries: collections.Counter[int] = collections.Counter()
         seen_workers = time.monotonic()
@@ -117,7 +117,7 @@ class DaskEngine:
             time.sleep(_BETWEEN_CHECKS_S)
 
     def _submit(self, client: Any, index: int) -> Any:
-        # Sent by value, and all else as bytes: the scheduler need not have msal.
+        # Sent by value, with arguments as bytes, so that the scheduler does not need msal.
         def msal(version: str, payload: bytes) -> bytes:
             from msal_cli.batch.dask import denoise_in_child
 
@@ -133,10 +133,10 @@ class DaskEngine:
 
 
 def _connect(scheduler: str) -> Any:
-    """A client of a scheduler; UsageError if there is none."""
+    """A client connected to the scheduler; UsageError if none answers."""
     import distributed
 
-    # They print to standard error.
+    # These loggers print to standard error.
     for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
@@ -157,11 +157,11 @@ def _has_workers(client: Any) -> bool:
 
 
 def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
-    """How a task has ended; None if the Dask workers that did it died."""
+    """How a task has ended; None if its Dask workers died.  Any other error of Dask is raised."""
     if isinstance(answer, bytes):
         end: Returned | Failed = pickle.loads(answer)
         return end
-    # Of an error there are type, value and traceback.
+    # An error comes as (type, value, traceback).
     error = answer[1] if isinstance(answer, tuple) else answer
     if type(error).__name__ == "KilledWorker":
         return None
@@ -171,7 +171,7 @@ def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
 
 
 def denoise_in_child(version: str, payload: bytes) -> bytes:
-    """Do a file in a child process of this Dask worker; the pickled message about its end.
+    """Denoise a file in a child process of this Dask worker; return its last message, pickled.
 
     Raises UsageError if this worker has another version of msal, or does not see the files.
     """
@@ -201,15 +201,15 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
     pool = WorkerPool(work)
     key, is_over = worker.get_current_task(), threading.Event()
 
-    def end_if_unwanted() -> None:
-        # A run that ended, or that was killed, no longer waits for its tasks.
+    def end_if_cancelled() -> None:
+        # The run that submitted this task may have ended, or have been killed.
         while not is_over.wait(_BETWEEN_CHECKS_S):
             task = worker.state.tasks.get(key)
             if task is None or task.state in ("cancelled", "released", "forgotten"):
                 pool.interrupt()
                 return
 
-    threading.Thread(target=end_if_unwanted, daemon=True).start()
+    threading.Thread(target=end_if_cancelled, daemon=True).start()
     end = None
     try:
         for messages in pool.batches():
@@ -225,7 +225,7 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
 def run_in_folder(
     task: Any, common: tuple[str, Callable[..., Any], Any], on_progress: Callable[..., None]
 ) -> Any:
-    """Do a task in the folder from which msal was started, as relative paths want it."""
+    """Run a task in the folder from which msal was started, so that relative paths are valid."""
     folder, function, its_common = common
     if os.path.isdir(folder):
         os.chdir(folder)

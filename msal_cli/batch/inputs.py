@@ -1,8 +1,8 @@
-"""Which files the inputs of a command name: files, folders and glob patterns.
+"""Find the files that the inputs of a command name: files, folders and glob patterns.
 
 The order of the files is that of the inputs and, within a folder, that of the names; it does
-not depend on the file system.  Names are only ever compared and joined, never interpreted, so any
-name that the system allows (line breaks, bytes that are no UTF-8, a leading dash) is fine.
+not depend on the file system.  Names are only compared and joined, never interpreted, so any
+name that the system allows (line breaks, bytes that are not UTF-8, a leading dash) works.
 """
 
 import fnmatch
@@ -28,7 +28,7 @@ _log = logging.getLogger("msal.batch")
 
 
 class NothingMatched(MsalError):  # noqa: N818 - a signal to the command line, not a fault
-    """The inputs exist, but hold no mesh file that the patterns let through (exit status 5)."""
+    """The inputs exist, but contain no mesh file that the patterns select (exit status 5)."""
 
     code = "E_NOTHING_MATCHED"
 
@@ -37,9 +37,9 @@ class NothingMatched(MsalError):  # noqa: N818 - a signal to the command line, n
 class DiscoveredInput:
     """One input file.
 
-    ``path`` opens it; ``relative`` is where it belongs below an output folder, written with ``/``;
-    ``root`` is the folder that was searched, or ``""`` for a file that was named itself.  An
-    object in a store has the ``mark`` that the store gave when it was found.
+    ``path`` is the path or URL to open; ``relative`` is its path below an output folder, with
+    ``/``; ``root`` is the folder that was searched, or ``""`` for an input that is a file itself.
+    ``mark`` is the size and tag that a store gave for an object when it was found.
     """
 
     path: str
@@ -49,10 +49,10 @@ class DiscoveredInput:
 
 
 class _Selection:
-    """Which files below a folder an input takes: those with mesh names, or those of a pattern.
+    """Which files below a folder an input selects: those with mesh names, or those of a pattern.
 
-    A pattern for names of files takes any name; another may match a folder, of which it takes
-    the meshes.  ``depth`` is how many parts a name has at most, None where there is no limit.
+    A pattern that ends in a plain suffix selects every file that it matches; any other may match
+    a folder, whose meshes it selects.  ``depth`` is the most parts of a name, None if unlimited.
     """
 
     def __init__(self, parts: Sequence[str]) -> None:
@@ -71,13 +71,13 @@ class _Selection:
         return is_named or is_mesh_name(relative.rpartition("/")[2])
 
     def may_lie_below(self, relative: str) -> bool:
-        """Whether files below this folder may be taken."""
+        """Whether files below this folder may be selected."""
         if self._depth is None or relative.count("/") + 1 < self._depth:
             return True
         return self._matches(relative)
 
     def _matches(self, relative: str) -> bool:
-        """Whether the pattern, if there is one, matches ``relative`` or a folder that holds it."""
+        """Whether there is no pattern, or it matches ``relative`` or a folder above it."""
         return not self._parts or _match_above(self._parts, relative.split("/"))
 
 
@@ -92,20 +92,20 @@ def discover_inputs(
 ) -> tuple[DiscoveredInput, ...]:
     """The files that ``inputs`` name, each once, in a fixed order.
 
-    What is written as ``protocol://...`` is an object, a folder of objects or a pattern in a store.
+    An input ``protocol://...`` is an object, a folder of objects or a pattern in a store.
 
-    A file is taken as it is, whatever its name.  A folder is searched through all its subfolders
-    for names with a suffix that msal reads; hidden files and folders, special files, msal's own
-    files, symbolic links to folders and the folder ``output`` are skipped.  A pattern (``*``,
-    ``?``, ``[...]``, ``**``) is expanded here unless a file of that very name exists: a pattern
-    with a plain suffix takes every file it matches, another mesh names and the meshes of folders.
+    A file is selected whatever its name.  A folder is searched through all its subfolders for
+    names with a suffix that msal reads; hidden files and folders, special files, msal's own files,
+    symbolic links to folders and the folder ``output`` are skipped.  A pattern (``*``, ``?``,
+    ``[...]``, ``**``) is expanded unless a file has exactly this name.  One that ends in a plain
+    suffix selects every file it matches, any other mesh names and the meshes of folders.
 
-    ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
+    ``include`` and ``exclude`` are patterns for the relative path, the name, or a folder above
     (see `parse_patterns`); a file is kept if an ``include``, if any, and no ``exclude`` matches.
 
     Raises UsageError if an input does not exist or is neither file nor folder, and NothingMatched
-    if nothing is left.  Why a folder cannot be listed is added to ``failures``, if there is such a
-    list and a file besides; else it is a UsageError.  ``warn`` gets what a user should know.
+    if no file is left.  With a list ``failures``, the error of a folder that cannot be listed is
+    added to it, and raised as UsageError only if no file is left.  ``warn`` gets warnings.
     """
     included, excluded = parse_patterns(include), parse_patterns(exclude)
     output = None if output is None else urls.normalize_url(output)
@@ -164,9 +164,9 @@ def discover_inputs(
 def find_type(text: str) -> tuple[str, ObjectMark | None]:
     """``file``, ``folder`` or ``pattern``, and the mark of an object.
 
-    In a store only what may be a single object is looked up; a folder is listed later.
-    A link to nothing, or a mesh of a store that does not answer, is a file, so that it ends as a
-    failed row with its reason.  Raises UsageError if there is nothing, or nothing is known of it.
+    In a store only a name that may be a single object is looked up; folders are listed later.
+    A broken link, or a mesh in a store that does not answer, counts as a file, so that it becomes
+    a failed row with its reason.  Raises UsageError if it does not exist or cannot be read.
     """
     if not is_url(text):
         return _local_type(text), None
@@ -218,7 +218,7 @@ def _folder_name(text: str) -> str:
 
 
 def _split_pattern(text: str) -> tuple[str, Sequence[str]]:
-    """The folder without wildcards that a pattern begins with, and the parts behind it."""
+    """Split a pattern into its leading folder without wildcards and the parts after that."""
     protocol, path = urls.split(text) if is_url(text) else ("", text)
     parts = path.rstrip("/").split("/") if protocol else Path(text).parts
     n_fixed = next(at for at, part in enumerate(parts) if has_magic(part))
@@ -235,15 +235,15 @@ def _split_pattern(text: str) -> tuple[str, Sequence[str]]:
 def _list_store(
     url: str, prefix: str, selection: _Selection, output: str | None
 ) -> list[DiscoveredInput]:
-    """The objects below a URL that are taken, by name; a single one if it is no folder.
+    """The selected objects below a URL, by name; the object itself if the URL names one.
 
-    One listing brings size and tag of every object.  Hidden objects, msal's own and those below
+    One listing gives size and tag of every object.  Hidden objects, msal's own and those below
     ``output`` are skipped, the latter unless the URL is below it, too.
     """
     from msal_cli.storage import objects
 
     marks = objects.list_objects(url, selection.depth)
-    # It may be an object whose name has no suffix of a mesh, or a server that is down.
+    # Nothing is listed for an object without a mesh suffix, and for a server that is down.
     mark = None if marks else objects.mark(url)
     if not marks and not selection.is_pattern:
         if mark is not None and not url.endswith("/"):
@@ -260,7 +260,7 @@ def _list_store(
     def is_taken(name: str) -> bool:
         if not name or (own_output and name.startswith(own_output)):
             return False
-        # ``.`` and ``..`` are odd names, but not hidden ones.
+        # The names ``.`` and ``..``, which an object may have, do not hide it.
         parts = [part for part in name.split("/") if part not in (".", "..")]
         is_hidden = any(_is_skipped(part, selection.with_hidden) for part in parts)
         return not is_hidden and selection.takes(name)
@@ -287,11 +287,11 @@ def _list_tree(
     failures: list[MsalError] | None,
     warn: Callable[[str], None],
 ) -> Iterator[DiscoveredInput]:
-    """The files below a folder that are taken, by name; ``failures`` as for `discover_inputs`."""
+    """The selected files below a folder, by name; ``failures`` as for `discover_inputs`."""
     if selection.is_pattern and not root.is_dir():
         return
     real_root = str(resolve(root))
-    # A searched folder that itself lies in the output was named by the user.
+    # If the searched folder lies in the output folder, the user named it on purpose.
     if own_output is not None and _is_below(own_output, real_root):
         own_output = None
     waiting = [(str(root), "", True)]
@@ -314,7 +314,7 @@ def _list_tree(
             elif file_type == "special" or is_matched(excluded, prefix + name):
                 continue
             elif file_type == "linked folder":
-                # What it leads to within the searched folder is found where it is.
+                # A target within the searched folder is found at its own place.
                 if not _is_below(real_root, str(resolve(Path(path)))):
                     outside.append(path)
             elif selection.may_lie_below(name) and os.path.join(real_root, name) != own_output:
@@ -362,8 +362,8 @@ def _file_type(entry: os.DirEntry[str]) -> str:
             return "special"
         mode = entry.stat().st_mode
     except OSError:
-        # A link to nothing, or in a circle, is taken for a file so that it ends as a failed row
-        # with its reason, and not as a missing scan.
+        # A broken or circular link counts as a file, so that it becomes a failed row with its
+        # reason, and is not left out.
         return "file"
     if stat.S_ISDIR(mode):
         return "linked folder"
@@ -371,7 +371,7 @@ def _file_type(entry: os.DirEntry[str]) -> str:
 
 
 def _is_below(folder: str, path: str) -> bool:
-    """Whether a path is that of a folder, or lies below it; both are real paths."""
+    """Whether ``path`` is ``folder`` or lies below it; both must be resolved."""
     return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
 
 
@@ -392,18 +392,18 @@ def resolve(path: Path) -> Path:
 
 
 def has_magic(text: str) -> bool:
-    """Whether ``text`` holds a wildcard."""
+    """Whether ``text`` contains a wildcard."""
     return _MAGIC.search(text) is not None
 
 
 def parse_patterns(patterns: Iterable[str]) -> list[list[str]]:
-    """The parts of glob patterns, which are matched together by ``is_matched``.
+    """Split glob patterns into parts, for ``is_matched``.
 
     Relative paths are written with ``/``.  A pattern matches a file when it matches its whole
-    relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` match all
-    that lies in a folder ``old`` anywhere, and ``left/**/*.ply`` for ``left/a.ply`` as well as for
+    relative path, its name alone, or a folder above it: ``old`` and ``old/`` match everything
+    in a folder ``old`` anywhere, and ``left/**/*.ply`` matches ``left/a.ply`` as well as
     ``left/b/c.ply``.  As in a shell, a wildcard at the start of a name does not match a dot.
-    Case counts, but for Windows.
+    Case matters, except on Windows.
 
     Raises UsageError for an empty pattern.
     """
@@ -419,7 +419,7 @@ def parse_patterns(patterns: Iterable[str]) -> list[list[str]]:
 
 
 def is_matched(patterns: Sequence[Sequence[str]], relative: str) -> bool:
-    """Whether a pattern matches ``relative``, its name or a folder that holds it."""
+    """Whether a pattern matches ``relative``, its name or a folder above it."""
     parts = relative.split("/")
     return any(
         _match_above(pattern, parts) or any(_match(pattern, [part]) for part in parts)
@@ -428,7 +428,7 @@ def is_matched(patterns: Sequence[Sequence[str]], relative: str) -> bool:
 
 
 def _match_above(pattern: Sequence[str], parts: Sequence[str]) -> bool:
-    """Whether a pattern matches a path, or a folder that holds it."""
+    """Whether a pattern matches a path or a folder above it."""
     return any(_match(pattern, parts[:stop]) for stop in range(len(parts), 0, -1))
 
 
@@ -441,6 +441,6 @@ def _match(pattern: Sequence[str], parts: Sequence[str]) -> bool:
         return not rest or any(_match(rest, parts[at:]) for at in range(len(parts)))
     if parts[0].startswith(".") and first[0:1] in ("*", "?", "["):
         return False
-    # A name may be written with the marks of patterns.
+    # A name may contain wildcard characters itself.
     is_match = parts[0] == first or fnmatch.fnmatch(parts[0], first)
     return is_match and _match(rest, parts[1:])

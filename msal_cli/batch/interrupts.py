@@ -1,4 +1,4 @@
-"""Ctrl-C and the signals that ask a run to end, noticed at a moment when the run can obey."""
+"""End a run on Ctrl-C or a signal, at a moment when it can clean up."""
 
 import os
 import signal
@@ -37,10 +37,10 @@ def raise_for(signum: int) -> NoReturn:
 def end_at_once(signum: int, frame: FrameType | None = None) -> NoReturn:
     """End the process with one line and status 128 + ``signum``; nothing is cleaned up.
 
-    As a handler it cannot be delayed: an exception, which is the other way, is lost if it is
-    raised in a destructor or in code that passes over all exceptions, as imports do at places.
+    A handler that raises an exception may have no effect instead: Python drops exceptions in
+    destructors, and some code, such as parts of imports, ignores all exceptions.
     """
-    # What Python has buffered may be locked by the code that was interrupted.
+    # The interrupted code may hold the lock of Python's buffered streams.
     start = b"\n" if os.isatty(2) else b""
     try:
         os.write(2, start + b"msal: interrupted\n")
@@ -63,13 +63,13 @@ class Cancellation:
             self._on_request()
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if the run is to end."""
+        """Raise KeyboardInterrupt if the run has been asked to end."""
         if self._is_requested:
             raise KeyboardInterrupt
 
     @contextmanager
     def notify(self, on_request: Callable[[], object]) -> Iterator[None]:
-        """Call ``on_request()`` in the thread that asks, now if the run has been asked already."""
+        """Within the block, call ``on_request()`` at a request, or now if there was one already."""
         with self._lock:
             self._on_request = on_request
             if self._is_requested:
@@ -83,8 +83,8 @@ class Cancellation:
 
 @contextmanager
 def end_on_signal() -> Iterator[None]:
-    """While nothing has been touched, SIGINT, SIGTERM and the like end the process at once."""
-    with _take(end_at_once), end_if_late(lambda: None):
+    """Let SIGINT, SIGTERM and the like end the process at once, while nothing has been touched."""
+    with _install(end_at_once), end_if_late(lambda: None):
         yield
 
 
@@ -92,8 +92,8 @@ def end_on_signal() -> Iterator[None]:
 def catch_signals(on_signal: Callable[[int], None] = raise_for) -> Iterator[None]:
     """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or the like; the second ends at once.
 
-    Only signals that no other code handles are taken over, only in the main thread (Python offers
-    no other), and all are restored at the end.
+    Only signals that no other code handles are caught, and only in the main thread, because Python
+    runs handlers nowhere else.  All handlers are restored at the end.
     """
     is_first = True
 
@@ -104,17 +104,18 @@ def catch_signals(on_signal: Callable[[int], None] = raise_for) -> Iterator[None
         is_first = False
         on_signal(signum)
 
-    with _take(handle):
+    with _install(handle):
         yield
 
 
 @contextmanager
 def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
-    """End the process ``MAX_DELAY_S`` after a signal if the block is not left until then.
+    """End the process ``MAX_DELAY_S`` after a signal if the block has not been left by then.
 
-    A handler runs only when the main thread comes back to Python, and a kernel on a large mesh
-    takes its time.  The system itself reports a signal through a pipe, and a thread that waits
-    there calls ``clean()`` and ends the process, if the signal has the handler that it has now.
+    Python runs a handler only once the main thread returns from compiled code, and a kernel can
+    take long on a large mesh.  At the signal itself Python writes its number to a pipe.  A thread
+    that reads the pipe calls ``clean()`` and ends the process; it ignores signals whose handler
+    was not installed here, or has been replaced since the block was entered.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -125,11 +126,11 @@ def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
         # Too many files are open; the handler itself still works.
         yield
         return
-    # Windows has it from Python 3.12 on, and does not need it.
+    # Missing on Windows before Python 3.12, and not needed there.
     if hasattr(os, "set_blocking"):
         os.set_blocking(sender, False)
     is_left = threading.Event()
-    # Signals that other code handles are left to it.
+    # Leave alone the signals that other code handles.
     handlers = {
         number: handler
         for number in _numbers()
@@ -149,35 +150,35 @@ def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()
-    earlier = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
+    previous_fd = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     try:
         yield
     finally:
         is_left.set()
-        signal.set_wakeup_fd(earlier)
+        signal.set_wakeup_fd(previous_fd)
         os.close(sender)
         thread.join()
         os.close(receiver)
 
 
 def _numbers() -> tuple[int, ...]:
-    """The signals that ask to end, as far as the system has them."""
+    """The signals that ask a process to end, of those that this system has."""
     return tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
 
 @contextmanager
-def _take(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
-    """Give ``handle`` the signals that no other code handles."""
+def _install(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+    """Within the block, ``handle`` is the handler of all signals that no other code handles."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     unhandled = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
-    taken: dict[int, Any] = {}
+    previous: dict[int, Any] = {}
     try:
         for number in _numbers():
             if signal.getsignal(number) in unhandled:
-                taken[number] = signal.signal(number, handle)
+                previous[number] = signal.signal(number, handle)
         yield
     finally:
-        for number, previous in taken.items():
-            signal.signal(number, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)

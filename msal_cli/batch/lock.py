@@ -1,19 +1,18 @@
-"""One run at a time on an output folder, or the shards of one N together.
+"""Lock an output folder for one run, or for all shards of one N.
 
-A shard is the part of a plan that one of N processes does, on one machine or on many.  A file
-belongs to the shard that a hash of its relative path says: no process asks another, and a file
-keeps its shard whatever other files come or go.  Only another N deals them out anew.
+A shard is the part of a plan that one of N processes does, on one machine or on many.  A hash of
+its relative path assigns a file to a shard: the processes need not communicate, and a file keeps
+its shard whatever other files are added or removed.  Only another N changes the assignment.
 
 A run locks a file of its own in the folder, ``.msal-lock`` or that of its shard,
-``.msal-lock-K-of-N``, and then looks whether a run that it conflicts with has locked another; if so
-it releases its own.  As all lock before they look, of two runs in conflict at least one sees the
-other.  Two that start in the same instant may both give up; so each tries again a few times, after
-pauses of random length.
+``.msal-lock-K-of-N``, and then checks whether a conflicting run has locked another; if so, it
+releases its own.  As every run locks before it checks, at least one of two conflicting runs sees
+the other.  Two that start at the same instant may both give up, so each tries a few times, after
+random pauses.
 
-The locks are the system's own locks on open files, so they end with the process that has them,
-however that ends; nothing stale can stay behind.  The files also contain who has them.  On a file
-system without locks that text is all there is: it counts while its process lives, and texts of
-other machines do not count.
+The locks are system locks on open files.  They end with the process that has them, however that
+ends, so that no lock is ever stale.  The files also name their owner.  On a file system without
+locks only this text is used: it counts while its process lives, if that is on this machine.
 """
 
 import contextlib
@@ -38,15 +37,15 @@ from msal_cli.storage.regular import open_own
 NAME = ".msal-lock"
 _ANY_NAME = re.compile(re.escape(NAME) + r"(?:-(\d{1,9})-of-(\d{1,9}))?")
 
-# Windows keeps others from reading what is locked, so there a byte far behind the text is locked.
+# On Windows others cannot read locked bytes, so a byte far after the text is locked there.
 _WINDOWS_LOCK_AT = 1 << 30
 
-# A lock that was taken only to look is free again at once.
+# Another process may have a lock for a moment, only to check it.
 _TRIES = 5
 _PAUSE_S = (0.02, 0.1)
 
 MAX_SHARDS = 1_000_000
-"""More would be fewer files a shard than the largest folders have."""
+"""A larger N would give less than one file to a shard, even of the largest folders."""
 
 _log = logging.getLogger("msal.batch")
 
@@ -63,16 +62,16 @@ class Shard:
 
     @property
     def file_part(self) -> str:
-        """How the shard's own files are distinguished: ``2-of-4``."""
+        """The part of the shard's file names that identifies it: ``2-of-4``."""
         return f"{self.number}-of-{self.count}"
 
     def has(self, relative: str) -> bool:
-        """Whether a file of this relative path (written with ``/``) is one of this shard's: by the
-        first eight bytes, the highest first, of the SHA-256 of the path's own bytes."""
+        """Whether the file of this relative path (with ``/``) belongs to this shard: by the first
+        eight bytes of the path's SHA-256, big-endian, modulo ``count``."""
         try:
             name = os.fsencode(relative)
         except UnicodeEncodeError:
-            # No file has such a name, but an address may.
+            # No file has such a name, but a URL may.
             name = relative.encode("utf-8", "surrogatepass")
         digest = hashlib.sha256(name).digest()
         return int.from_bytes(digest[:8], "big") % self.count == self.number - 1
@@ -91,9 +90,9 @@ def parse_shard(text: str) -> Shard:
 
 
 class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
-    """Lock a folder for this process; use it with ``with`` or call ``release``.
+    """A lock on a folder for this process; use it with ``with`` or call ``release``.
 
-    ``shard`` shares the folder with the other shards of the same N.
+    With a ``shard``, the other shards of the same N may lock the folder, too.
 
     Raises UsageError (``E_LOCKED``), which names the process, if another run has locked the folder,
     and OutputError if a lock file cannot be opened.
@@ -125,28 +124,28 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
         self.release()
 
     def release(self) -> None:
-        """Release the folder; harmless if that has been done."""
+        """Release the folder; does nothing if that has been done."""
         if self._handle is None:
             return
         close, remove = functools.partial(os.close, self._handle), self._path.unlink
         self._handle = None
-        # It is removed while it is locked: a process that opened it meanwhile sees that it is gone.
-        # Windows removes no open file.  A free lock file that stays is no obstacle.
+        # Remove it while it is locked: a process that opened it meanwhile sees that it is gone.
+        # Windows removes no open file.  An unlocked file that stays does no harm.
         for step in (close, remove) if os.name == "nt" else (remove, close):
             with contextlib.suppress(OSError):
                 step()
 
     def _lock(self) -> str | None:
-        """Lock the file of this run; None, or the owner of its lock."""
+        """Lock the file of this run; return None, or the owner if another has locked it."""
         while self._handle is None:
-            with _explained(self._path):
+            with _convert_os_errors(self._path):
                 handle = open_own(self._path, os.O_CREAT)
             try:
                 if not _try_lock(handle, self._path):
                     return _describe_owner(handle, self._path)
-                # Its last owner may have removed it while we waited for it.
+                # Its last owner may have removed it after we opened it.
                 if _has_name(handle, self._path):
-                    with _explained(self._path):
+                    with _convert_os_errors(self._path):
                         os.truncate(handle, 0)
                         os.lseek(handle, 0, os.SEEK_SET)
                         os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
@@ -157,16 +156,16 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
         return None
 
     def _find_rival(self, shard: Shard | None) -> str | None:
-        """The owner of a lock that this run conflicts with."""
+        """The owner of another lock that this run conflicts with, if any."""
         for path, count in _lock_files(self._path.parent):
-            is_beside = shard is not None and count == shard.count
-            if not is_beside and path != self._path and (owner := _find_owner(path)):
+            is_sibling = shard is not None and count == shard.count
+            if not is_sibling and path != self._path and (owner := _find_owner(path)):
                 return owner
         return None
 
 
 def lock_owners(folder: str) -> tuple[str, ...]:
-    """Who works on a folder now, in words such as ``process 17 on host``; touches nothing."""
+    """The owners of locks on a folder, such as ``process 17 on host``; changes nothing."""
     owners = []
     for path, _ in _lock_files(Path(folder)):
         with contextlib.suppress(OutputError):
@@ -203,8 +202,8 @@ def _lock_files(folder: Path) -> Iterator[tuple[Path, int]]:
 
 
 @contextlib.contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Raise OutputError where the lock file of this name cannot be opened or written."""
+def _convert_os_errors(path: Path) -> Iterator[None]:
+    """Raise OutputError if this lock file cannot be opened or written."""
     try:
         yield
     except OSError as error:
@@ -225,7 +224,7 @@ def _has_name(handle: int, path: Path) -> bool:
 
 def _find_owner(path: Path) -> str | None:
     """The owner of a lock file; None if it is free."""
-    with _explained(path):
+    with _convert_os_errors(path):
         try:
             handle = open_own(path)
         except FileNotFoundError:
@@ -239,7 +238,7 @@ def _find_owner(path: Path) -> str | None:
 
 
 def _try_lock(handle: int, path: Path, *, is_shared: bool = False) -> bool:
-    """Lock a file, or where that is impossible see whether the process in its text is gone."""
+    """Try to lock a file; without system locks, whether the process named in it is gone."""
     try:
         return _flock(handle, is_shared=is_shared)
     except OSError as error:
@@ -255,9 +254,9 @@ def _warn_once(folder: str, reason: str) -> None:
 
 
 def _flock(handle: int, *, is_shared: bool = False) -> bool:
-    """Try to lock; False if another process has the lock; OSError if there are no locks.
+    """Try to lock; False if another process has the lock, OSError if the file system has no locks.
 
-    Where there are no shared locks it is always exclusive."""
+    On Windows the lock is always exclusive."""
     try:
         if sys.platform == "win32":
             import msvcrt

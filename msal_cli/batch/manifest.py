@@ -1,27 +1,26 @@
-"""The manifest of a place: which outputs runs have written there, from what, with which settings.
+"""The manifest of a folder or URL: the outputs there, from which inputs, with which settings.
 
-A manifest has one JSON object a line.  There are four kinds of line:
+A manifest has one JSON object per line.  There are four kinds of line:
 
 ``run``     when a run starts: version, command, settings, shard, process and machine.
-``intent``  before a run starts on a file: an output of this name is ours.
+``intent``  before a run starts on a file: the output of this name is msal's own.
 ``done``    after the output was moved into place (or the file failed): hashes and the record.
-``end``     when a run ends in good order, or by a signal.
+``end``     when a run ends normally, or by a signal.
 
-Of the lines for a name the newest counts: within a manifest the last, between manifests the one
-with the greatest ``at``.  That is the time in nanoseconds when the line was made, but always more
-than that of every line that was read before, so that clocks of several machines need not agree.
+Of the lines for one name the one with the greatest ``at`` counts, of equal ones the last.  ``at``
+is the time in nanoseconds when the line was made, but always greater than that of every line read
+before, so that the clocks of several machines need not agree.
 
-In a folder ``.msal-manifest.jsonl`` only ever grows at its end, so a run that is killed loses at
-most its last line.  Each shard writes a manifest of its own, ``.msal-manifest-K-of-N.jsonl``; all
+In a folder, lines are only appended to ``.msal-manifest.jsonl``, so a run that is killed loses at
+most its last line.  Each shard writes its own manifest, ``.msal-manifest-K-of-N.jsonl``; all
 manifests of a folder are read.
 
-Nothing can be appended to an object of a store, so a manifest there is made of parts,
-``.msal-manifest/RUN-00001.jsonl`` and so on, RUN being the time at which the run began and eight
-random digits.  A part is written whole and never again.  ``intent`` lines are there before the work
-starts; ``done`` lines that come within seconds of a part wait for later ones, so a run that is
-killed may forget its last files, and those are done again.  Many parts are merged into one: first
-the new part is written, then the old ones are removed, so that at any moment every line is in some
-part.
+Objects of a store cannot be appended to, so a manifest there consists of parts,
+``.msal-manifest/RUN-00001.jsonl`` and so on, where RUN is the start time of the run and eight
+random hexadecimal digits.  A part is written once.  ``intent`` lines are written before the work
+starts; ``done`` lines are collected for some seconds, so a run that is killed may lose those of its
+last files, which are then done again.  Many parts are merged into one: the new part is written
+before the old ones are removed, so that no line is ever missing.
 """
 
 from __future__ import annotations
@@ -60,22 +59,22 @@ FORMAT = 1
 RUN_KINDS = ("run", "end")
 _ENTRY_KINDS = ("intent", "done")
 
-# Lines that no longer count are dropped at the start of a run once there are this many of them
-# and more than there are lines that count.
+# Lines that no longer count are dropped when a run starts, once they are more than this many and
+# more than the lines that count.
 _SPARE_LINES = 1000
 
 MAX_RUN_LINES = 100
-"""Lines about runs are kept for reports, but not without end."""
+"""Lines about runs that are kept for reports; older ones are dropped."""
 
 SECONDS_BETWEEN_PARTS = 3.0
 """Seconds that a line may wait for others before it is written to a store."""
 
 MAX_PARTS = 50
-"""Parts beyond which the next run merges them; each costs a request at every start."""
+"""With more parts than this the next run merges them; each costs a request at every start."""
 
 _MAX_FAILURES = 10
 
-# Parsing the records, which are rarely needed, would take half of the time of reading.
+# The records are rarely needed, and parsing them would take half of the time of reading.
 _USUAL_DONE = re.compile(
     rb'(\{"kind":"done",.*?),"record":\{.*\},"at":([1-9]\d{0,29})\}', re.DOTALL
 )
@@ -83,20 +82,20 @@ _USUAL_DONE = re.compile(
 _log = logging.getLogger("msal.batch")
 
 MAX_LINE_BYTES = 16 << 20
-"""Bytes that a line may have.  Lines of msal have some kilobytes; a longer one is damage, and a
-file with a hole would be one line as long as the hole."""
+"""Bytes that a line may have.  Lines of msal have some kilobytes; a longer one is damage, such as a
+hole in the file, which would be one line of its size."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileStat:
-    """Size in bytes and time of change in nanoseconds: fast to read, and only a hint."""
+    """Size in bytes and modification time in nanoseconds: fast to read, and only a hint."""
 
     size: int
     mtime_ns: int
 
     @staticmethod
     def of(path: str) -> FileStat | None:
-        """The values of a file now; None where they cannot be read."""
+        """The stat of a file; None if it cannot be read."""
         try:
             # Constructing a Path costs more than the call itself.
             status = os.stat(path)
@@ -107,7 +106,7 @@ class FileStat:
 
 @dataclass(frozen=True, slots=True)
 class LineSpan:
-    """A line in a file: where it begins, and how long it is without its end, in bytes."""
+    """A line in a file: its offset, and its length without the line end, in bytes."""
 
     path: Path
     start: int
@@ -116,14 +115,14 @@ class LineSpan:
 
 @dataclass(frozen=True, slots=True)
 class ManifestEntry:
-    """What the manifest says of one output.
+    """What a manifest says of one output.
 
-    ``name`` is the output below the folder of the manifest, written with ``/``.  An entry that is
-    not ``is_done`` says only that a run began to write this output.  ``input_version`` and
-    ``output_version`` are what the files were when the line was written: a stat, or size and tag
-    of an object in a store.  ``at`` orders entries, 0 where the line has none (see above).
-    ``line`` is the whole line, or where it is in a file, because all lines of a large manifest
-    take more memory than everything else in a run.
+    ``name`` is the path of the output below the folder of the manifest, with ``/``.  An entry that
+    is not ``is_done`` says only that a run began to write this output.  ``input_version`` and
+    ``output_version`` are the stats of the files when the line was written, or size and tag of
+    objects in a store.  ``at`` orders entries, 0 where the line has none (see above).  ``line`` is
+    the whole line, or its place in a file: the lines of a large manifest would take more memory
+    than everything else in a run.
     """
 
     name: str
@@ -138,7 +137,7 @@ class ManifestEntry:
     line: bytes | LineSpan = b""
 
     def read_line(self) -> bytes:
-        """The line as it is now; OSError if the file cannot be read."""
+        """The line; OSError if the file cannot be read."""
         if isinstance(self.line, bytes):
             return self.line
         with open_regular(self.line.path, buffering=0) as file:
@@ -146,7 +145,7 @@ class ManifestEntry:
             return file.read(self.line.length)
 
     def record(self) -> MeshRecord | None:
-        """The record of the run that wrote the output; None if it cannot be read."""
+        """The record in the line; None if it cannot be read."""
         try:
             record: MeshRecord = from_data(MeshRecord, self.data().get("record"))
         except TypeError:
@@ -154,10 +153,10 @@ class ManifestEntry:
         return record
 
     def data(self) -> dict[str, Any]:
-        """All that the line says; empty if it cannot be read (any more)."""
+        """The parsed line; empty if it cannot be read any more."""
         try:
             data = json.loads(self.read_line())
-            # The file may have been rewritten by the shard that it belongs to.
+            # The shard that owns the file may have rewritten it.
             return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return {}
@@ -181,7 +180,7 @@ class LogView:
 
     @classmethod
     def of(cls, lines: Iterable[tuple[bytes, LineSpan | None]]) -> LogView:
-        """Read lines in their order; a line that is torn or makes no sense is skipped."""
+        """Read lines in order; a torn or invalid line is skipped."""
         view = cls()
         for line, span in lines:
             view.n_lines += 1
@@ -197,7 +196,7 @@ class LogView:
         return view
 
     def counting_lines(self) -> Iterator[bytes]:
-        """The lines that count, with their ends; OSError if they cannot be read again."""
+        """The lines that count, with line ends; OSError if they cannot be read again."""
         for run in self.run_lines[-MAX_RUN_LINES:]:
             yield run.line + b"\n"
         for entry in self.entries.values():
@@ -205,7 +204,7 @@ class LogView:
 
 
 def merge_entries(views: Iterable[LogView]) -> dict[str, ManifestEntry]:
-    """Of several manifests the entry that counts for each name."""
+    """The entry that counts for each name, of all entries of several manifests."""
     merged: dict[str, ManifestEntry] = {}
     for view in views:
         for name, entry in view.entries.items():
@@ -219,9 +218,9 @@ def merge_entries(views: Iterable[LogView]) -> dict[str, ManifestEntry]:
 
 
 def read_lines(path: Path) -> Iterator[tuple[bytes, LineSpan]]:
-    """The lines of a manifest without their ends and where they are, empty ones left out.
+    """The non-empty lines of a manifest, without line ends, and their places.
 
-    Raises OutputError if it cannot be read; a file that is not there has no lines.
+    Raises OutputError if it cannot be read; a missing manifest has no lines.
     """
     try:
         with open_regular(path) as file:
@@ -239,10 +238,10 @@ def read_lines(path: Path) -> Iterator[tuple[bytes, LineSpan]]:
 
 
 def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str | None:
-    """The entry in a line, the kind of a line that is about a run, or None if it makes no sense."""
+    """The entry in a line, the kind of a line about a run, or None for an invalid line."""
     try:
-        # Without the record where that can be left out: in a string the quotes would have
-        # backslashes, so this is where it begins.
+        # Leave the record out if possible.  Within a string the quotes would be escaped, so the
+        # record can begin nowhere else.
         usual = _USUAL_DONE.fullmatch(line)
         data = json.loads(b'%b,"at":%b}' % usual.groups() if usual else line)
         kind = data["kind"]
@@ -254,7 +253,7 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
             name=data["name"],
             is_done=kind == "done",
             at=at if type(at) is int else 0,
-            # Equal texts in many lines share one object.
+            # Equal texts of many lines share one object.
             settings=sys.intern(data.get("settings", "")),
             status=sys.intern(data.get("status", "")),
             input_sha256=data["input"]["sha256"],
@@ -282,7 +281,7 @@ def _parse_version(data: Mapping[str, Any]) -> FileStat | ObjectMark | None:
 
 
 def intent_line(name: str, input_path: str, output_path: str = "") -> dict[str, Any]:
-    """The line that says: a run is about to write the output ``name`` from this input."""
+    """The line that a run writes before it makes the output ``name`` from this input."""
     return {
         "kind": "intent",
         "name": name,
@@ -295,7 +294,7 @@ def intent_line(name: str, input_path: str, output_path: str = "") -> dict[str, 
 def done_line(
     name: str, settings: str, record: MeshRecord, input_path: str, output_path: str = ""
 ) -> dict[str, Any]:
-    """The line for a finished or failed file; ``settings`` is their hash."""
+    """The line for a finished or failed file; ``settings`` is the hash of the settings."""
     output = None
     if record.error is None and record.output is not None:
         version = record.output_object or FileStat.of(record.output)
@@ -321,19 +320,19 @@ def _version_fields(version: FileStat | ObjectMark | None, sha256: str | None) -
 
 
 def encode_line(data: Mapping[str, Any]) -> bytes:
-    """The line for what ``intent_line`` or the like made, with its end."""
+    """Encode the fields of a line, as ``intent_line`` or the like returns them, with a line end."""
     # ASCII with escapes carries names that are not valid Unicode, and no name can break a line.
     text = json.dumps(data, separators=(",", ":"), default=to_builtin)
     return text.encode("ascii") + b"\n"
 
 
 def to_builtin(value: Any) -> Any:
-    """For JSON: a parameter may be a numpy scalar, which must count as the number that it is."""
+    """For JSON: the number that a numpy scalar is, and the ``repr`` of anything else."""
     return value.item() if hasattr(value, "item") else repr(value)
 
 
 def manifest_error(path: str, error: OSError) -> OutputError:
-    """The error for a manifest that the system does not let us read or write."""
+    """The error for a manifest that cannot be read or written."""
     return OutputError(
         f"the manifest {path!r} cannot be used: {error.strerror}",
         hint="free some space and run again"
@@ -347,7 +346,7 @@ def manifest_error(path: str, error: OSError) -> OutputError:
 
 
 class Manifest:
-    """All manifests of one place, of which one is written."""
+    """All manifests of a folder or URL, one of which this run writes."""
 
     def __init__(self, place: str, views: Collection[LogView]) -> None:
         self.place = place
@@ -358,33 +357,33 @@ class Manifest:
         return self._entries.get(name)
 
     def append(self, lines: Iterable[Mapping[str, Any]]) -> None:
-        """Add lines made by ``intent_line``, ``done_line`` and the like.
+        """Append lines made by ``intent_line``, ``done_line`` and the like.
 
-        On return they are on the disk.  A store has those of intents, and gets all others soon.
+        On return they are on the disk; in a store only intents are, and other lines follow soon.
         Raises OutputError if they cannot be written.
         """
-        some = list(lines)
-        if not some:
+        new = list(lines)
+        if not new:
             return
         self._newest = max(time.time_ns(), self._newest + 1)
-        encoded = [encode_line({**line, "at": self._newest}) for line in some]
-        self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in some))
+        encoded = [encode_line({**line, "at": self._newest}) for line in new]
+        self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in new))
 
     def open(self) -> None:
-        """Prepare to append, and drop lines that no longer count; harmless if it is open.
+        """Prepare to append, and drop lines that no longer count; does nothing if it is open.
 
         Raises OutputError if that fails.
         """
 
     def close(self) -> None:
-        """Finish writing; harmless if it is not open.  OutputError if lines cannot be written."""
+        """Finish writing, if it is open; OutputError if lines cannot be written."""
 
     def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
-        """Write lines with their ends, ``at_once`` also to a store."""
+        """Write encoded lines; a store may delay them unless ``at_once``."""
 
 
 class FolderManifest(Manifest):
-    """The manifests of a folder, of which it writes that of ``shard``."""
+    """The manifests of a folder; the one of ``shard`` is written."""
 
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
         own_name = NAME if shard is None else f".msal-manifest-{shard.file_part}.jsonl"
@@ -395,7 +394,7 @@ class FolderManifest(Manifest):
         self._file: BinaryIO | Any = None
 
     def open(self) -> None:
-        """Prepare to append, under the folder's lock; repair a torn end."""
+        """As for any manifest; the folder must be locked.  A torn last line gets its end."""
         if self._file is not None:
             return
         try:
@@ -403,7 +402,7 @@ class FolderManifest(Manifest):
             if self._own.n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 write_whole(self._path, self._own.counting_lines())
                 _log.debug("manifest of %r: %d lines are left", self.place, n_kept)
-            # With a buffer, what did not fit on a full disk would be tried again at the end.
+            # Unbuffered: a buffer would retry what did not fit on a full disk when it is closed.
             handle = open_own(self._path, os.O_CREAT | os.O_APPEND)
             self._file = os.fdopen(handle, "a+b", buffering=0)
             flush_folder(self._path.parent)
@@ -426,8 +425,8 @@ class FolderManifest(Manifest):
             os.fsync(self._file.fileno())
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
-        # A manifest may stay open for several runs, and the next one reads what this one did.
-        # What was only begun must not hide the entries of the run before.
+        # A manifest may stay open for several runs, and the next one must find these entries.
+        # Intents must not hide the entries of the run before.
         for line in lines:
             entry = parse_line(line[:-1], LineSpan(self._path, start, len(line) - 1))
             if isinstance(entry, ManifestEntry) and entry.is_done:
@@ -435,7 +434,7 @@ class FolderManifest(Manifest):
             start += len(line)
 
     def _write_all(self, text: bytes) -> None:
-        """Add all of ``text``, or nothing: half a line would spoil the next one."""
+        """Append all of ``text``, or nothing: half a line would spoil the next one."""
         size = os.fstat(self._file.fileno()).st_size
         rest = memoryview(text)
         try:
@@ -472,10 +471,10 @@ class ObjectManifest(Manifest):
         self._parts = list(parts)
         self._view = _view_of_parts(parts)
         super().__init__(url, [self._view])
-        # Of shards that start together one merges: else each would write a copy of everything.
+        # Only one of the shards merges: else each would write a copy of everything.
         self._merges = shard is None or shard.number == 1
         self._n_written = self._n_failures = 0
-        # The start of a run goes with what it intends, in one part.
+        # The line of the start waits for the intents: they become one part.
         self._next_part = time.monotonic() + SECONDS_BETWEEN_PARTS
         self._waiting: list[bytes] = []
 
@@ -488,7 +487,7 @@ class ObjectManifest(Manifest):
             _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
 
     def close(self) -> None:
-        """Write what is left; while another exception is being handled a failure is only logged."""
+        """Write the last lines; a failure is only logged while another exception is handled."""
         is_failing = sys.exc_info()[0] is not None
         try:
             self._flush()
@@ -505,14 +504,14 @@ class ObjectManifest(Manifest):
             self._flush()
             self._n_failures = 0
         except OutputError:
-            # The lines wait for the next time: a store may be out of reach for a moment.
+            # The lines are kept for the next time: a store may be out of reach for a moment.
             self._n_failures += 1
             if at_once or self._n_failures >= _MAX_FAILURES:
                 raise
         self._next_part = time.monotonic() + SECONDS_BETWEEN_PARTS
 
     def _flush(self) -> None:
-        """Write the lines that wait as a part; they wait on if that fails."""
+        """Write the waiting lines as a part; they are kept if that fails."""
         if self._waiting:
             self._write_part(self._n_written + 1, b"".join(self._waiting))
             self._n_written += 1
@@ -532,7 +531,7 @@ def _view_of_parts(parts: dict[str, bytes]) -> LogView:
 
 
 def _read_parts(url: str) -> dict[str, bytes]:
-    """The parts of a manifest by name, those of one run after another."""
+    """The parts of a manifest by name, in the order of their runs."""
     from msal_cli.storage import objects
 
     for is_last in (False, False, True):
@@ -541,7 +540,7 @@ def _read_parts(url: str) -> dict[str, bytes]:
             names = sorted(filter(_PART.fullmatch, listed))
             texts = objects.read_many({_part_url(url, name): listed[name] for name in names})
         except InputError as error:
-            # Another run may be merging what was listed.
+            # Another run may have merged the listed parts.
             if is_last:
                 raise _store_error(url, error) from None
         else:
@@ -563,7 +562,7 @@ def _store_error(url: str, error: MsalError) -> OutputError:
 
 
 def read_views(place: str) -> list[LogView]:
-    """What each manifest of a folder or URL says; OutputError if one cannot be read."""
+    """Read every manifest of a folder or URL; OutputError if one cannot be read."""
     if not is_url(place):
         return [LogView.of(read_lines(path)) for path in list_manifests(place)]
     parts = _read_parts(place)
@@ -571,15 +570,14 @@ def read_views(place: str) -> list[LogView]:
 
 
 def open_manifest(place: str, shard: Shard | None = None) -> Manifest:
-    """What the manifests of a folder or URL say so far; OutputError if one cannot be read."""
+    """Read the manifests of a place, one of which can be appended to; OutputError if that fails."""
     return ObjectManifest(place, shard) if is_url(place) else FolderManifest(place, shard)
 
 
 def open_folder(place: str, stack: ExitStack, shard: Shard | None = None) -> Manifest:
-    """Make and lock a folder, for a shard beside other shards, and read its manifests, until
-    ``stack`` ends.
+    """Make and lock a folder (see `FolderLock`) and read its manifests; ``stack`` releases both.
 
-    A store has neither folders nor locks; there two runs write the same objects, each whole.
+    A store has neither folders nor locks: two runs may overwrite each other's objects, each whole.
 
     Raises UsageError if another run has locked the folder, OutputError if it cannot be made.
     """

@@ -1,4 +1,4 @@
-"""Which output each input gets, and every reason to refuse one before anything is touched."""
+"""Assign an output to each input, and refuse a harmful plan before anything is touched."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Plan:
     """What a run is to do.
 
     ``fresh`` does every file again, even where its output is current, and ``retry_failed`` those
-    that failed before.  ``shard`` and ``whole`` say which part this is, and of what (see
-    ``select_shard``).  ``objects`` are, where the outputs go to a store, size and tag of those that
-    are there, by URL.  With ``is_set`` the files are denoised as one mesh: all of them, or none.
+    that failed before.  A part of a plan has its ``shard``, and the ``whole`` plan (see
+    ``select_shard``).  ``objects`` are size and tag of the outputs that are in a store already, by
+    URL.  With ``is_set`` the files are denoised as one mesh: all of them, or none.
     """
 
     tasks: tuple[Task, ...]
@@ -43,13 +43,13 @@ class Plan:
     is_set: bool = False
 
     def folders(self) -> list[str]:
-        """All places with a manifest; of a part those of the whole, because it locks these."""
+        """All places with a manifest; for a shard those of the whole plan: it locks them all."""
         plan = self.whole or self
         return sorted({task.manifest_dir for task in plan.tasks if task.manifest_dir is not None})
 
     @property
     def is_in_process(self) -> bool:
-        """Whether no other process could do the work: the objects live in this one."""
+        """Whether only this process can do the work: ``memory://`` objects exist only in it."""
         paths = (path for task in self.tasks for path in (task.input, task.output))
         return any(path.startswith("memory://") for path in paths)
 
@@ -60,7 +60,7 @@ class Plan:
 
 
 def manifest_key(task: Task) -> str:
-    """The name by which its manifest knows a task: the output below the folder, with ``/``."""
+    """The name of a task in its manifest: the path of the output below the folder, with ``/``."""
     place, output = task.manifest_dir, task.output
     assert place is not None
     if is_url(place):
@@ -72,7 +72,7 @@ def manifest_key(task: Task) -> str:
 
 
 def output_folders(tasks: Iterable[Task]) -> set[Path]:
-    """The folders of this machine that tasks write to; ``-`` is standard output."""
+    """The local folders that tasks write to; ``-`` is standard output."""
     files = (task.output for task in tasks if not is_url(task.output) and task.output != "-")
     return {Path(file).parent for file in files}
 
@@ -89,23 +89,23 @@ def build_plan(
     retry_failed: bool = False,
     is_set: bool = False,
 ) -> Plan:
-    """The plan that writes every file of ``found`` to its place; nothing is touched.
+    """Plan an output for every file of ``found``; nothing is touched.
 
-    A single file that was named itself goes to ``output`` as a file if that is a file, or is
-    nothing yet and has a mesh suffix.  Otherwise ``output`` is a folder and each input goes to its
-    relative path below it, with the suffix of ``to`` where given.  A new folder that is called like
-    a file is refused, unless a slash at the end of ``output`` says that it is one.
+    A single input file goes to ``output`` as a file if that is a file, or does not exist and has a
+    mesh suffix.  Otherwise ``output`` is a folder and each input goes to its relative path below
+    it, with the suffix ``to`` if given.  A new folder with a mesh suffix is refused, unless
+    ``output`` ends with a slash.
 
-    With ``in_place`` every input is its own output (a link's target, where it is a link), and
-    ``backup`` is the suffix of the copy that keeps the original; None keeps none.
+    With ``in_place`` every input is its own output (for a link, its target), and ``backup`` is the
+    suffix of the copy that keeps the original; None keeps none.
 
-    ``force`` allows files in the output folder to be replaced that no earlier run put there, and
+    ``force`` allows files in the output folder to be replaced that no earlier run wrote, and
     materials beside earlier outputs; ``fresh`` does every file again, ``retry_failed`` those that
     failed before.  With ``is_set`` the files are those of a tile set.
 
-    Raises UsageError if ``output`` is called like a file of no known format, or like one file for
-    several inputs; if two inputs have one output; if an output is an input, a folder, lies outside
-    the output folder or would replace a file that is not ours; if options contradict each other.
+    Raises UsageError if ``output`` has an unknown format, or names one file for several inputs; if
+    two inputs have the same output; if an output is an input or a folder, lies outside the output
+    folder, or would replace a file that is not msal's; if options contradict each other.
     """
     output = None if output is None else urls.normalize_url(output)
     if in_place:
@@ -167,8 +167,8 @@ def _check_in_place(
 def _in_place_task(file: DiscoveredInput, backup: str | None) -> Task:
     target = Path(file.path)
     if os.path.islink(target):
-        # A link stays a link: the file that it leads to is the one to replace.  It is named from
-        # the folder that was searched, so that there is one manifest for all in it.
+        # A link stays a link: its target is replaced.  The target gets a path below the searched
+        # folder, so that one manifest covers all files in that folder.
         real, real_root = resolve(target), resolve(Path(file.root))
         if file.root and not real.is_relative_to(real_root):
             raise UsageError(
@@ -178,13 +178,13 @@ def _in_place_task(file: DiscoveredInput, backup: str | None) -> Task:
             )
         target = Path(file.root) / real.relative_to(real_root) if file.root else real
     path = str(target)
-    # Also a single file has a manifest: without it a second run would denoise it twice.
+    # A single file has a manifest, too: without it a second run would denoise it again.
     place = str(Path(file.root) if file.root else target.parent)
     return Task(path, path, file.relative, in_place=True, backup=backup, manifest_dir=place)
 
 
 def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
-    """Whether the output is a file; UsageError for a new folder that is called like one."""
+    """Whether the output is a file; UsageError for a new folder with a mesh suffix."""
     if output.endswith(("/", os.sep)) or (not is_url(output) and os.path.isdir(output)):
         return False
     if len(found) == 1 and not found[0].root:
@@ -254,8 +254,8 @@ def _list_outputs(url: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
 
 
 def _check_outputs(tasks: Sequence[Task]) -> None:
-    """UsageError for an output that is an input, a folder, below a file, or one of our files."""
-    # An input that was named itself may be called like the manifest, the lock or a temporary file.
+    """Refuse an output that is an input or a folder, lies below a file, or has a reserved name."""
+    # An input that was given by name may be called like the manifest, the lock or a temporary file.
     for task in tasks:
         if is_own(urls.name(task.output) if is_url(task.output) else Path(task.output).name):
             raise UsageError(
@@ -297,9 +297,9 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
 
 
 def _distinct_tasks(tasks: Sequence[Task]) -> list[Task]:
-    """One task for each file, which two inputs or a link may name twice.
+    """One task per file, even where two inputs or a link name it twice.
 
-    Hard links are as many files in place: each is replaced by a file of its own.
+    In place, hard links are separate files: each is replaced by a file of its own.
     """
     kept: dict[tuple[object, ...], Task] = {}
     for task in tasks:
@@ -309,7 +309,7 @@ def _distinct_tasks(tasks: Sequence[Task]) -> list[Task]:
 
 
 def _refuse_escapes(tasks: Sequence[Task], output: str) -> None:
-    """Refuse outputs that a link within the output folder would carry out of it."""
+    """Refuse outputs that a link within the output folder would redirect outside of it."""
     folder = resolve(Path(output))
     first: dict[Path, Task] = {}
     for task in tasks:
@@ -326,7 +326,7 @@ def _refuse_escapes(tasks: Sequence[Task], output: str) -> None:
 
 
 def identify_file(name: str) -> tuple[int, int] | str | None:
-    """What distinguishes files, links of both kinds followed; None where there is no file."""
+    """A value that is equal for all paths and links of one file; None if there is no file."""
     if is_url(name):
         return urls.identity(name)
     path = Path(name)
@@ -338,7 +338,7 @@ def identify_file(name: str) -> tuple[int, int] | str | None:
 
 
 def identify(name: str) -> tuple[int, int] | str:
-    """As ``identify_file``; for what is not there its real path."""
+    """As ``identify_file``; for a missing file its resolved path."""
     return identify_file(name) or str(resolve(Path(name)))
 
 
@@ -352,7 +352,7 @@ def _refuse_collisions(tasks: Sequence[Task]) -> None:
         if other is not task:
             raise _collision(other, task, f"would both be written to {task.output!r}")
         if is_url(task.output):
-            # A store has no folders, and every letter of a name counts.
+            # A store has no folders, and case matters in its names.
             continue
         twin = folded.setdefault(fold_case(task.output), task)
         if twin is not task:
@@ -381,7 +381,7 @@ def _collision(first: Task, second: Task, what: str) -> UsageError:
 
 
 def fold_case(path: str) -> str:
-    """Equal for paths that are one where neither case nor the form of accents counts."""
+    """A key that is equal for paths that differ only in case or in Unicode normalization."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
 
 
@@ -389,7 +389,7 @@ def ignores_case(folder: Path) -> bool:
     import tempfile
 
     try:
-        # The one sure way is to look for a file under its other name.
+        # The only sure test is to look for a file by its name in upper case.
         with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:
             path = Path(probe.name)
             return path.with_name(path.name.upper()).exists()

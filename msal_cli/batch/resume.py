@@ -1,5 +1,5 @@
-"""What earlier runs have done: what of it is current, proved by hashes and not by times, and what
-the manifests of a folder say of them."""
+"""Earlier runs: which outputs are current, proved by hashes and not by times, and the history of a
+folder from its manifests."""
 
 import hashlib
 import json
@@ -30,8 +30,8 @@ from msal_cli.storage.sidecars import are_in_place
 from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.version import __version__
 
-# Failures that the file itself causes come again with the same file, settings and version.  All
-# others (crashes, memory, time, disks, what is not installed) may not.
+# Failures that the file itself causes recur with the same file, settings and version.  All others
+# (crashes, memory, timeouts, disks, missing packages) may not.
 _FAULTS_OF_FILES = {"E_FORMAT", "E_TRUNCATED", "E_CONTENT", "E_NONFINITE", "E_INDEX", "E_NO_FACES"}
 _FAULTS_OF_FILES |= {"E_RANGE", "E_LOSS"}
 
@@ -46,8 +46,8 @@ OnDone = Callable[[int, MeshRecord], None]
 
 
 def hash_settings(settings: Settings, members: Sequence[str] = ()) -> str:
-    """SHA-256 of all that decides an output's bytes beside its input: the settings and msal's
-    version, and the names of the ``members`` of a tile set, in canonical JSON."""
+    """SHA-256 of everything but the input that decides an output's bytes: settings, version, and
+    the names of the ``members`` of a tile set, as canonical JSON."""
     data: dict[str, Any] = {"version": __version__, "settings": asdict(settings)}
     if members:
         data["members"] = list(members)
@@ -60,7 +60,7 @@ def hash_file(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
     digest = hashlib.sha256()
     try:
         with open_regular(path, buffering=0) as file:
-            # A block of full size for each of many small files would cost more than the hashing.
+            # Allocating a full block for each of many small files would cost more than hashing.
             block = bytearray(min(_BLOCK_BYTES, os.fstat(file.fileno()).st_size + 1))
             view = memoryview(block)
             while length := file.readinto(view):  # type: ignore[attr-defined]
@@ -78,7 +78,7 @@ def is_same_file(
     sha256: str,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Whether a file is as it was ``then``, when it had this hash."""
+    """Whether a file still has the size that it had ``then``, and this hash."""
     now = FileStat.of(path)
     if not sha256 or now is None or (isinstance(then, FileStat) and then.size != now.size):
         return False
@@ -89,10 +89,10 @@ def is_same_file(
 class FileState:
     """What is to be done about one task.
 
-    ``record`` is set if there is nothing to do: the output is current, or the file cannot be done,
-    as may be known from an earlier run.  ``obstacle`` is a backup because of which the whole run
-    must be refused.  With ``restores`` the input is first to be put back from its backup, because
-    a run was killed right after it replaced it.
+    ``record`` is set if nothing is to be done: the output is current, or it is known that the file
+    fails.  ``obstacle`` is a backup because of which the whole run must be refused.  With
+    ``restores`` the input must first be restored from its backup, because a run was killed right
+    after it replaced the input.
     """
 
     index: int
@@ -104,11 +104,11 @@ class FileState:
 def file_states(
     plan: Plan, by_place: Mapping[str, Manifest], settings: str, *, threads: int
 ) -> Generator[FileState, None, None]:
-    """The state of every task, in the plan's order, by the manifest of each place and the hash of
-    the ``settings``.
+    """The state of every task, in the plan's order, from the manifest of each place and the hash
+    of the ``settings``.
 
-    An output is current if input, output, settings and version are those of the manifest: files
-    are read and hashed, their times are never trusted.  Closing the iterator stops the reading.
+    An output is current if input, output, settings and version match the manifest: files are read
+    and hashed, their times are never trusted.  Closing the iterator stops the reading.
     """
     is_stopped = Event()
     check = _FreshnessCheck(plan, by_place, settings, is_stopped)
@@ -121,7 +121,7 @@ def file_states(
 
     pool = ThreadPoolExecutor(min(threads, _MAX_THREADS, n_read))
     try:
-        # To pass on each file by itself would take longer than the hashing of a small one.
+        # Handing files over one by one would take longer than hashing small ones.
         shares = [indices[at : at + _TASKS_PER_CALL] for at in indices[::_TASKS_PER_CALL]]
         for states in pool.map(lambda share: list(map(check.file_state, share)), shares):
             yield from states
@@ -140,7 +140,7 @@ class _FreshnessCheck:
         self._manifests = {os.path.realpath(place): known for place, known in by_place.items()}
 
     def entry(self, index: int) -> ManifestEntry | None:
-        """What is known of a task; in place the newest run on any folder above the file counts."""
+        """The manifest entry of a task; in place the newest one of any folder above the file."""
         task = self.plan.tasks[index]
         place = task.manifest_dir
         if place is None or not task.in_place:
@@ -167,7 +167,7 @@ class _FreshnessCheck:
         return self._in_place_state(index, task, entry) if task.in_place else FileState(index)
 
     def _known_result(self, task: Task, entry: ManifestEntry) -> MeshRecord | None:
-        """The record of an output that is current, or of a failure that would come again."""
+        """The record of an output that is current, or of a failure that would recur; else None."""
         if entry.status in DONE:
             is_current = self._is_same(task.output, entry.output_version, entry.output_sha256)
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
@@ -186,10 +186,10 @@ class _FreshnessCheck:
                 input=task.input,
                 output=task.output,
                 status="up-to-date",
-                # The same text as in the entry, and not a copy.
+                # Share the text of the entry.
                 input_sha256=entry.input_sha256 or record.input_sha256,
                 output_sha256=entry.output_sha256 or record.output_sha256,
-                # The first of equal methods: thousands of copies would need much memory.
+                # Share equal methods: thousands of copies would need much memory.
                 method=method and self._methods.setdefault(repr(method), method),
             )
         if self.plan.retry_failed or entry.status != "failed":
@@ -215,10 +215,10 @@ class _FreshnessCheck:
         sha256: str,
         now: ObjectMark | None = None,
     ) -> bool:
-        """Whether a file or object is as it was ``then``; ``now`` is what a listing said of it."""
+        """Whether a file or object is as it was ``then``; ``now`` is its mark from a listing."""
         if is_url(path):
             now = now or self.plan.objects.get(path)
-            # Without a tag an object of the same size may be another.
+            # Without a tag, an object of the same size may have other bytes.
             return now is not None and now == then and bool(now.tag)
         return is_same_file(path, then, sha256, self.is_stopped.is_set)
 
@@ -242,7 +242,7 @@ class _FreshnessCheck:
         if not os.path.lexists(backup):
             return FileState(index)
         if not stat.S_ISREG(os.lstat(backup).st_mode):
-            # The target of a link would replace the input.
+            # Restoring from a link would replace the input by the target of the link.
             return FileState(index, obstacle=backup)
         kept = FileStat.of(backup)
         sizes_differ = kept is not None and (now is None or kept.size != now.size)
@@ -254,7 +254,7 @@ class _FreshnessCheck:
 
 
 class Journal:
-    """The manifests of all places of a plan: what earlier runs did, and what this one does."""
+    """The manifests of all places of a plan, read for earlier runs and appended to by this one."""
 
     def __init__(self, plan: Plan, settings: Settings, cores: int) -> None:
         self._plan, self._settings, self._cores = plan, settings, cores
@@ -262,12 +262,12 @@ class Journal:
         self._hash = hash_settings(settings, members)
         self.manifests: dict[str, Manifest] = {}
         self._started_s = time.monotonic()
-        # Those in which the start of this run is recorded.
+        # The manifests in which the start of this run is recorded.
         self._begun: list[Manifest] = []
         self._stats: dict[int, FileStat | None] = {}
 
     def read(self) -> None:
-        """Read what earlier runs did, and touch nothing."""
+        """Read the manifests; nothing is locked or changed."""
         self.manifests = {place: manifests.open_manifest(place) for place in self._plan.folders()}
 
     def begin(
@@ -277,8 +277,8 @@ class Journal:
         command: tuple[str, ...],
         on_done: OnDone,
     ) -> list[int]:
-        """Lock all places but those ``opened``, give what is up to date to ``on_done``, and record
-        the start of this run; the indices of what is to be done.
+        """Lock all places but those ``opened``, pass what is up to date to ``on_done``, and record
+        the start of this run; return the indices of the tasks to do.
 
         ``stack`` releases locks and manifests.
         """
@@ -313,8 +313,8 @@ class Journal:
         return todo
 
     def find_outdated(self, on_done: OnDone) -> tuple[list[int], list[int]]:
-        """The indices of what is not up to date, and which of it are to be restored from their
-        backups first; the records of the rest go to ``on_done``."""
+        """The indices of the tasks to do, and of those among them whose inputs must first be
+        restored from backups; the records of the other tasks go to ``on_done``."""
         todo: list[int] = []
         restored: list[int] = []
         obstacles: list[str] = []
@@ -341,12 +341,12 @@ class Journal:
                 hint="the original is in it: move it back, or choose another --backup suffix",
                 path=obstacles[0],
             )
-        self._warn_of_others(todo)
+        self._warn_of_replaced_outputs(todo)
         return todo, restored
 
-    def _warn_of_others(self, todo: Sequence[int]) -> None:
-        """Say which results of other inputs, which are still there, this run replaces."""
-        others = []
+    def _warn_of_replaced_outputs(self, todo: Sequence[int]) -> None:
+        """Warn of outputs, made from other inputs that still exist, which this run replaces."""
+        replaced = []
         for task in (self._plan.tasks[index] for index in todo):
             place = task.manifest_dir
             entry = None if place is None else self.manifests[place].get(manifest_key(task))
@@ -354,14 +354,14 @@ class Journal:
                 continue
             source = str(entry.data().get("paths", [""])[0])
             if identify_file(source) not in (None, identify_file(task.input)):
-                others.append(f"{task.output!r}, which was made of {source!r}")
-        if others:
-            more = f" (and {len(others) - 1:,} more like it)" if len(others) > 1 else ""
+                replaced.append(f"{task.output!r}, which was made of {source!r}")
+        if replaced:
+            more = f" (and {len(replaced) - 1:,} more like it)" if len(replaced) > 1 else ""
             advice = "give each input folder an output folder of its own to keep both"
-            _log.warning("this replaces %s%s; %s", others[0], more, advice)
+            _log.warning("this replaces %s%s; %s", replaced[0], more, advice)
 
     def note_done(self, finished: Mapping[int, MeshRecord]) -> None:
-        """Record files that are finished; OutputError if that fails."""
+        """Record finished files; OutputError if that fails."""
         tasks = self._plan.tasks
         self._append(
             finished,
@@ -371,7 +371,7 @@ class Journal:
         )
 
     def end(self, *, interrupted: bool) -> None:
-        """Record the end of this run where its start is recorded."""
+        """Record the end of this run wherever its start is recorded."""
         line = {
             "kind": "end",
             "format": manifests.FORMAT,
@@ -383,7 +383,7 @@ class Journal:
             manifest.append([line])
 
     def roll_back(self, index: int) -> str:
-        """As ``roll_back`` for a task, as its file was when this run began."""
+        """Call ``roll_back`` for a task, with the stat of its file from the start of this run."""
         return roll_back(self._plan.tasks[index], self._stats.get(index))
 
     def _append(self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]) -> None:
@@ -397,7 +397,7 @@ class Journal:
 
 
 def restore_backup(task: Task) -> None:
-    """Put the original back from its backup, whole or not at all; OutputError if that fails."""
+    """Restore the original from its backup, whole or not at all; OutputError if that fails."""
     backup = task.backup_path
     try:
         with open_regular(backup) as file:
@@ -412,9 +412,9 @@ def restore_backup(task: Task) -> None:
 def roll_back(task: Task, before: FileStat | None) -> str:
     """Undo what a lost worker may have done to a file in place, which must never be denoised twice.
 
-    A file that was replaced is put back from its backup.  Without one, a file that is not as it was
-    ``before`` the work began may be denoised already: the reason why it must not be tried again is
-    returned, and otherwise an empty string.
+    A replaced file is restored from its backup.  Without a backup, a file whose stat is no longer
+    ``before`` may be denoised already.  Returns the reason why the task must not be tried again,
+    or an empty string.
     """
     if not task.in_place:
         return ""
@@ -439,7 +439,7 @@ def roll_back(task: Task, before: FileStat | None) -> str:
 class RunEntry(Run):
     """A run as its manifest describes it; ``at`` orders runs (see `manifest`).
 
-    One without an end, because it was killed or is still at work, is ``interrupted`` and finished
+    A run without an end line was killed or is still running: it is ``interrupted``, and finished
     when it wrote its last line.
     """
 
@@ -448,15 +448,15 @@ class RunEntry(Run):
 
     @property
     def configuration(self) -> tuple[str, str]:
-        """Version and settings; runs that have both in common did the same work."""
+        """Version and settings; they are equal for runs that did the same work."""
         return self.version, json.dumps(self.settings, sort_keys=True, default=repr)
 
 
 @dataclass(frozen=True)
 class FileRow:
-    """What is known of one file: its record, and when that was made (see `manifest`).
+    """One file in a manifest: its record, and when that was made (``at``, see `manifest`).
 
-    ``input`` and ``output`` are the paths that the run had; the record of a failure has no output.
+    ``input`` and ``output`` are the paths of that run; the record of a failure has no output.
     """
 
     at: int
@@ -466,11 +466,11 @@ class FileRow:
 
 
 RunHistory = tuple[list[RunEntry], list[FileRow]]
-"""All runs that manifests know of, in their order, and the newest row of every file."""
+"""All runs in some manifests, oldest first, and the newest row of every file."""
 
 
 def read_history(views: Sequence[LogView], place: str) -> RunHistory:
-    """What manifests of a place say; a file that a run did not finish has a ``planned`` record."""
+    """Parse the manifests of a place; a file that no run finished has a ``planned`` record."""
     runs = [run for view in views for run in _parse_runs(view)]
     rows = []
     for entry in manifests.merge_entries(views).values():
@@ -487,7 +487,7 @@ def read_history(views: Sequence[LogView], place: str) -> RunHistory:
 
 
 def list_lost(views: Sequence[LogView], folder: str) -> list[str]:
-    """The outputs in a folder that are gone, or not as they were written."""
+    """The outputs in a folder that are missing, or changed since they were written."""
     entries = manifests.merge_entries(views).values()
     done = ((os.path.join(folder, entry.name), entry) for entry in entries if entry.status in DONE)
     return [
@@ -504,7 +504,7 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
             data = json.loads(run_line.line)
             if data["kind"] == "run":
                 shard, at, last_at = data["shard"], int(data["at"]), run_line.last_at
-                # As if it had ended with its last entry.
+                # Until its end line is read, as if it had ended with its last entry.
                 end = {
                     "finished": iso_timestamp(last_at) if last_at > at else data["started"],
                     "seconds": max(0, last_at - at) / 1e9,

@@ -1,4 +1,4 @@
-"""Many files: carry out a plan, record every finished file, and report what happens."""
+"""Carry out a plan for many files, record every finished file, and report what happens."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def run(
     cancellation: interrupts.Cancellation | None = None,
     manifests: Mapping[str, Manifest] | None = None,
 ) -> list[MeshRecord]:
-    """One record per task, in the plan's order; the same bytes for any number of jobs.
+    """Carry out a plan: one record per task, in its order; the same bytes for any number of jobs.
 
-    What an earlier run has written and is still current is not done again (status
-    ``up-to-date``), and neither is what failed because of the file itself and would fail again.
-    A plan of one task without limits of time and memory runs in this process, others, and parts of
-    a plan, in supervised workers.
+    Outputs of earlier runs that are still current are not made again (status ``up-to-date``), and
+    files that failed by their own fault are not tried again.  A single task without limits of time
+    and memory, a tile set and ``memory://`` objects run in this process, all else in supervised
+    workers.
 
     Parameters
     ----------
@@ -67,13 +67,13 @@ def run(
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
     limits : what one file may use; beyond it the file fails with ``E_TIMEOUT`` or ``E_MEMORY``.
     retries : how often a file that was lost to a crash, memory or time is tried again, alone.
-    stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
+    stop_after_failures : start no more files after so many failures; the rest is ``planned``.
     command : the command line, for the manifests and the reports made of them.
-    denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
-    engine : processes the files, a single one too; None is ``workers.WorkerPool``.
-    cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
-        which can be ended at any time.
-    manifests : those of output folders that the caller has opened, and locked, for several runs.
+    denoise : the module-level function that does one file; gets ``limits=`` if there are any.
+    engine : processes the files, even a single one; None is ``workers.WorkerPool``.
+    cancellation : lets another thread end the run.  A single file then runs in a worker, too, which
+        can be killed at any time.
+    manifests : of output folders that the caller has opened, and locked, for several runs.
 
     Raises
     ------
@@ -82,8 +82,8 @@ def run(
     OutputError : the output folder or its manifest cannot be written.
     ResourceError : no worker process can be started.
     KeyboardInterrupt, interrupts.Terminated : a signal or ``cancellation`` asked to end; all
-        workers are gone, finished files are whole and recorded, and running the plan again goes on
-        from there.
+        workers are gone, finished files are whole and recorded, and running the plan again
+        continues from there.
     """
     check_options(limits, jobs, retries, stop_after_failures)
     if limits != NO_LIMITS:
@@ -111,7 +111,7 @@ class _BatchRun:
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
-        # What earlier runs did, and this one does; None for a file that has no manifest.
+        # None if no output has a manifest.
         self._journal: Journal | None = None
         folders = self.plan.folders()
         self._local_folders = [folder for folder in folders if not is_url(folder)]
@@ -121,11 +121,11 @@ class _BatchRun:
             self._journal = Journal(self.plan, self.settings, self._cores)
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
-        # Why finished files cannot be recorded.
+        # The first failure to record finished files.
         self._failure: OutputError | None = None
 
     def dry_run(self) -> list[MeshRecord]:
-        """What would happen, with nothing touched."""
+        """Records of what would be done; nothing is touched."""
         todo = list(range(len(self.plan.tasks)))
         with interrupts.catch_signals():
             if self._journal is not None:
@@ -148,7 +148,7 @@ class _BatchRun:
     def execute(
         self, stack: ExitStack, opened: Mapping[str, Manifest], command: tuple[str, ...]
     ) -> list[MeshRecord]:
-        """What happened; ``stack`` releases locks and manifests, however this ends."""
+        """Carry out the plan; ``stack`` releases locks and manifests, however this ends."""
         is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
         is_single = is_alone and not (self.engine or is_limited or self.cancellation)
@@ -173,7 +173,7 @@ class _BatchRun:
             if self._failure is not None:
                 raise self._failure
         except BaseException:
-            # Why it ended matters more than that it cannot be recorded.
+            # Why it ended matters more than a failure to record the end.
             with suppress(OutputError):
                 if self._journal is not None:
                     self._journal.end(interrupted=True)
@@ -186,7 +186,7 @@ class _BatchRun:
 
     @contextmanager
     def _end_on_signals(self) -> Iterator[None]:
-        """While this process itself denoises, a signal ends the run, in time even in a kernel."""
+        """Let a signal end the run while this process itself denoises, even within a kernel."""
 
         def clean() -> None:
             sweep(output_folders(self.plan.tasks), os.getpid())
@@ -243,9 +243,12 @@ class _BatchRun:
             try:
                 for messages in batches:
                     self._handle_messages(messages)
-                    # Tasks that have begun are finished, and that is reported, too.
-                    most = self.stop_after_failures
-                    if self._failure is not None or (most is not None and self._n_failed >= most):
+                    # Tasks that have started are finished and reported.
+                    max_failures = self.stop_after_failures
+                    has_too_many_failures = (
+                        max_failures is not None and self._n_failed >= max_failures
+                    )
+                    if self._failure is not None or has_too_many_failures:
                         engine.stop()
             except schedule.Interrupt:
                 interrupts.raise_for(received[0] if received else signal.SIGINT)
@@ -264,7 +267,7 @@ class _BatchRun:
                     record = replace(record, warnings=(*record.warnings, note))
                 finished[message.index] = record
             elif isinstance(message, schedule.Failed):
-                # It was lost outside of the pipeline.
+                # The task was lost outside of the pipeline, so it has no record yet.
                 start = start_record(self.plan.tasks[message.index].input, self.settings)
                 finished[message.index] = replace(start, error=message.failure)
             elif isinstance(message, schedule.Retried):
@@ -275,7 +278,7 @@ class _BatchRun:
     # The results
 
     def _finish(self, finished: dict[int, MeshRecord]) -> None:
-        """Record files in the manifests, then report, also what could not be recorded."""
+        """Record files in the manifests, then emit them, even where they could not be recorded."""
         finished = {n: _warn_of_memory(record, self.limits) for n, record in finished.items()}
         try:
             if self._journal is not None:
@@ -316,8 +319,7 @@ def check_options(
     retries: int = 1,
     stop_after_failures: int | None = None,
 ) -> None:
-    """UsageError for limits within which no file can be denoised, and for numbers that mean
-    nothing."""
+    """Raise UsageError for limits that are too small for any file, and for invalid numbers."""
     for value in (limits.timeout_s, limits.memory_bytes, jobs, retries, stop_after_failures):
         if not isinstance(value, numbers.Real | None):
             raise UsageError(
@@ -325,9 +327,9 @@ def check_options(
                 hint="a timeout is in seconds, a memory limit in bytes",
             )
     counts = (("jobs", jobs, 1), ("failures to stop after", stop_after_failures, 1))
-    for what, value, least in (*counts, ("retries", retries, 0)):
-        if value is not None and value < least:
-            raise UsageError(f"the number of {what} must be at least {least}, not {value}")
+    for what, value, minimum in (*counts, ("retries", retries, 0)):
+        if value is not None and value < minimum:
+            raise UsageError(f"the number of {what} must be at least {minimum}, not {value}")
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:

@@ -1,7 +1,7 @@
-"""What an engine gets and what it reports, and the order in which tasks are handed out.
+"""The interface of engines: their work, the messages they send, and the order of tasks.
 
-An engine sends messages, one frozen value per event of one file; a run passes on what a user wants
-to see as events.  ``index`` is the task's position in the plan.  A task whose worker died is tried
+A message is a frozen value for one event of one file; a run passes those on, as events, that a user
+wants to see.  ``index`` is the task's position in the plan.  A task whose worker died is tried
 again, so ``Started`` can come twice for one index; ``Finished`` comes exactly once for every file.
 """
 
@@ -16,9 +16,9 @@ from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, m
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import available_bytes
 
-_SHARE = 0.8
+_MEMORY_SHARE = 0.8
 
-# Bytes of memory per byte of a file that is not looked into: what most formats stay below.
+# Bytes of memory per byte of a small file, which is not looked into; most formats stay below this.
 _PER_BYTE = 14.0
 _BYTES_PER_FACE = 24.0
 
@@ -30,7 +30,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """``done`` of ``total`` steps of ``stage`` (such as ``"sweeps"``) of one task are over."""
+    """``done`` of ``total`` steps of ``stage`` (such as ``"sweeps"``) of one task are done."""
 
     index: int
     stage: str
@@ -40,7 +40,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Returned:
-    """The result of a task; ``earlier`` says what ended the try before, if there was one."""
+    """The result of a task; ``earlier`` says why the try before failed, if there was one."""
 
     index: int
     result: Any
@@ -51,7 +51,7 @@ class Returned:
 class Failed:
     """A task has no result.
 
-    Its code is ``E_CRASH``, ``E_MEMORY`` or ``E_TIMEOUT``, at every try; ``E_INTERNAL``, which
+    Its code is ``E_CRASH``, ``E_MEMORY`` or ``E_TIMEOUT`` after the last try; ``E_INTERNAL``, which
     another try would not avoid; or ``E_CHANGED``, if another try would do harm.
     """
 
@@ -79,28 +79,28 @@ OnEvent = Callable[[Event], None]
 
 
 class Interrupt(Exception):  # noqa: N818 - it is a message, not a fault
-    """Raised by ``Engine.batches`` after ``Engine.interrupt``, when all work is given up."""
+    """Raised by ``Engine.batches`` after ``Engine.interrupt``, once all work is given up."""
 
 
 class Engine(Protocol):
     """Does many tasks and reports on each: worker processes or a cluster.
 
-    Every task that was begun gets exactly one ``Returned`` or ``Failed``, unless it is interrupted.
+    Unless the engine is interrupted, each started task gets exactly one ``Returned`` or ``Failed``.
     """
 
     def batches(self) -> Generator[list[Message], None, None]:
-        """What happens, as it happens; nothing of the engine is left when the iteration ends.
+        """Messages as they come; when the iteration ends, all processes of the engine are gone.
 
         Raises
         ------
         Interrupt : after ``interrupt``, once all work is given up.
-        UsageError : the engine cannot be used like this; no file was begun.
-        ResourceError : it cannot go on; what was given before is whole.
+        UsageError : the engine cannot be used like this; no file was started.
+        ResourceError : it cannot go on; results given before are complete.
         """
         ...
 
     def stop(self) -> None:
-        """Hand out nothing more; what was handed out goes on, second tries too."""
+        """Start no more tasks; second tries of started ones still run."""
         ...
 
     def interrupt(self) -> None:
@@ -111,25 +111,25 @@ class Engine(Protocol):
 @dataclass(frozen=True)
 class Work:
     tasks: dict[int, Any]  # picklable values by their index in the plan
-    # of a module, called in some process as ``function(task, common, on_progress)``
+    # module-level function, called in some process as ``function(task, common, on_progress)``
     function: Callable[..., Any]
     common: Any
     # jobs, cores: tasks at the same time on this machine, and the cores that they share
     jobs: int = 1
     cores: int = 1
-    folders: tuple[str, ...] = ()  # those with a manifest; they exist
+    folders: tuple[str, ...] = ()  # folders with a manifest; they exist
     # called with the process id of a worker of this machine that has ended, and the index of its
-    # current task, to remove what it left
+    # current task, to remove its temporary files
     on_death: Callable[[int, int], object] = lambda pid, index: None
     # called with the index of a task that was lost, before it is tried again (at most ``retries``
-    # times) or given up: returns why it must not be tried again, or nothing
+    # times) or given up: returns why it must not be tried again, or an empty string
     on_loss: Callable[[int], str] = lambda index: ""
     limits: Limits = NO_LIMITS
     retries: int = 1
     # weights, light_bytes: bytes of memory expected for the large tasks, and for any other
     weights: Mapping[int, int] = field(default_factory=dict)
     light_bytes: int = 0
-    budget_bytes: int | None = None  # what all current tasks may need; None is no bound
+    budget_bytes: int | None = None  # what all current tasks may need; None is unlimited
     # report results before the next tasks are handed out, so that ``stop`` is in time for these
     reports_first: bool = False
 
@@ -138,7 +138,7 @@ EngineFactory = Callable[[Work], Engine]
 
 
 class TaskQueue:
-    """The tasks that are yet to be handed out; indices in the order of the plan.
+    """The tasks that are not started yet; indices in the order of the plan.
 
     Those with weights go first, heaviest first, so that none is left to run alone at the end.
     """
@@ -152,7 +152,7 @@ class TaskQueue:
         self._retries: collections.deque[int] = collections.deque()
 
     def __len__(self) -> int:
-        """Tasks that wait for their first try."""
+        """The number of tasks that wait for their first try."""
         return len(self._heavy) + len(self._light)
 
     @property
@@ -173,14 +173,14 @@ class TaskQueue:
         self._retries.append(index)
 
     def put_back(self, index: int, *, is_retry: bool = False) -> None:
-        """A task that was taken did not reach its worker: it is next again."""
+        """Return a task that did not reach its worker; it is next again."""
         waiting = self._heavy if index in self._weights else self._light
         (self._retries if is_retry else waiting).appendleft(index)
 
     @property
     def is_next_exclusive(self) -> bool:
-        """Whether the next task must have the whole machine: it fits beside no other, or it was
-        lost once, and the first try may have failed because memory ran out."""
+        """Whether the next task must run alone: no other fits beside it, or it was lost once,
+        perhaps because memory ran out."""
         if not len(self):
             return bool(self._retries)
         if not self._heavy or self._budget is None:
@@ -191,28 +191,28 @@ class TaskQueue:
         return (self._heavy or self._retries).popleft()
 
     def pop(self, current: Iterable[int], idle_bytes: int) -> int | None:
-        """Take a task that may run beside the ``current`` ones; None if none may now.
+        """Take a task that may run beside the ``current`` ones; None if none may start now.
 
         ``idle_bytes`` is the memory of idle workers.
         """
-        queue = self._beside(current, idle_bytes)
+        queue = self._startable(current, idle_bytes)
         return queue.popleft() if queue else None
 
     def may_start(self, current: Iterable[int], idle_bytes: int) -> bool:
-        return self._beside(current, idle_bytes) is not None
+        return self._startable(current, idle_bytes) is not None
 
-    def _beside(self, current: Iterable[int], idle_bytes: int) -> collections.deque[int] | None:
-        beside = list(current)
-        used = idle_bytes + sum(map(self.weight, beside))
+    def _startable(self, current: Iterable[int], idle_bytes: int) -> collections.deque[int] | None:
+        running = list(current)
+        used = idle_bytes + sum(map(self.weight, running))
 
         def fits(index: int) -> bool:
-            # Without a current task anything goes: waiting for others to end would not help.
-            return not beside or self._budget is None or used + self.weight(index) <= self._budget
+            # If nothing runs, any task may start: waiting would free no memory.
+            return not running or self._budget is None or used + self.weight(index) <= self._budget
 
         if self._heavy and fits(self._heavy[0]):
             return self._heavy
-        if self._heavy and not any(index in self._weights for index in beside):
-            # Only small ones are in its way, and more of them would keep it waiting for ever.
+        if self._heavy and not any(index in self._weights for index in running):
+            # Only light tasks are in its way; if more of them started, it might wait for ever.
             return None
         return self._light if self._light and fits(self._light[0]) else None
 
@@ -220,8 +220,8 @@ class TaskQueue:
 def estimate_memory(
     tasks: Mapping[int, Task], settings: Settings, limits: Limits
 ) -> tuple[dict[int, int], int, int | None]:
-    """Bytes expected for each large file and for any other, and those that all current ones may
-    need together, None where that is not known; for 10,000 small files that costs one stat each."""
+    """The expected bytes of memory of each large task and of any other, and the budget of all
+    current ones together (None if unknown).  A small file costs one stat."""
 
     def limited(n_bytes: int) -> int:
         return n_bytes if limits.memory_bytes is None else min(n_bytes, limits.memory_bytes)
@@ -231,7 +231,7 @@ def estimate_memory(
     per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
     for index, task in tasks.items():
         if (size := room.input_bytes(task)) is None:
-            # The reader will report that.
+            # The file cannot be read, which its reader will report.
             continue
         if size < room.LARGE_BYTES:
             largest_light = max(largest_light, size)
@@ -239,4 +239,4 @@ def estimate_memory(
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
     light = limited(BASE_BYTES + int(per_byte * largest_light))
     available = available_bytes()
-    return large, light, None if available is None else int(_SHARE * available)
+    return large, light, None if available is None else int(_MEMORY_SHARE * available)

@@ -1,8 +1,8 @@
-"""A tile set: files that touch, denoised as the one joined mesh that they are.
+"""A tile set: files that touch, denoised as one joined mesh.
 
-First every file is read alone: what it holds, and its border.  Border vertices of different
-files that are one are found, then the joined mesh is denoised in memory, and then every file is
-read again and written with its part of the new positions.
+First every file is read alone: its contents, and its border.  Then the border vertices that files
+share are found, the joined mesh is denoised in memory, and every file is read again and written
+with its part of the new positions.
 """
 
 import itertools
@@ -38,10 +38,10 @@ from msal_cli.job.settings import (
 from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import memory_bytes
 
-# What the records of all files of a set share.
+# Fields that the records of all files of a set share.
 _OF_SET = ("method", "choice", "left_alone", "despiked", "clamped_vertices", "locked_vertices")
 _ROUNDING = {"text": 0, "integer": 0, "float32": 1}
-"""Precisions that round positions more than double precision, the coarsest first."""
+"""Precisions that are coarser than double precision, the coarsest first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Member:
 
 @dataclass(eq=False, kw_only=True)
 class JoinedMesh(Surface):
-    """The mesh of several files behind one another, and ``properties`` (n,) of vertices by name."""
+    """The joined vertices and faces of several files; ``properties`` (n,) of vertices by name."""
 
     properties: Mapping[str, Floats]
 
@@ -65,13 +65,13 @@ class JoinedMesh(Surface):
 
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
-    """Bytes of memory that denoising these files as one will need."""
+    """Bytes of memory that denoising these files as one will need, by forecast."""
     needs = [forecast(task, settings).memory_bytes or BASE_BYTES for task in tasks]
     return BASE_BYTES + sum(max(0, need - BASE_BYTES) for need in needs)
 
 
 class SetRun:
-    """One set on its way; a *place* is the number of a file among those that could be read."""
+    """One run over a set; a *place* is the index of a file among those that could be read."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class SetRun:
         self._records: dict[int, MeshRecord] = {}
 
     def survey(self) -> dict[int, MeshRecord]:
-        """What the set holds, without denoising it: records with ``tile_set``, or failures."""
+        """Read the set without denoising it: records with ``tile_set``, or failures, by index."""
         for index in range(len(self._tasks)):
             self._scan(index)
             self._arrays.clear()
@@ -99,14 +99,13 @@ class SetRun:
         return self._records
 
     def denoise(self, max_failures: int | None = None) -> dict[int, MeshRecord]:
-        """Denoise the files as one mesh: the records of all that were dealt with, by the numbers
-        of their tasks.
+        """Denoise the files as one mesh; returns records by the indices of their tasks.
 
-        A file that cannot be read fails; what its neighbours may share with it stays where it is.
-        Once ``max_failures`` files cannot be read, no other is written, and has no record.
+        A file that cannot be read fails; border vertices that it may share stay where they are.
+        Once ``max_failures`` files cannot be read, nothing is written, and only they have records.
         """
         limit = self._limits.memory_bytes
-        if limit is not None:  # what this process has beside is not the set's
+        if limit is not None:  # the memory that this process had before does not count
             limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
             work = f"denoising these {len(self._tasks):,} files as one"
@@ -123,7 +122,7 @@ class SetRun:
         except UsageError:
             raise
         except Exception as error:
-            # The set fails as a whole: every file that has no failure of its own has this one.
+            # The set fails as a whole: every file without a failure of its own gets this one.
             failure = Failure.of(to_known_error(error, "the tile set"))
             for index, task in enumerate(self._tasks):
                 if index not in self._records:
@@ -135,7 +134,7 @@ class SetRun:
         return lambda stage, done, total: self._on_event(Progress(index, stage, done, total))
 
     def _scan(self, index: int) -> None:
-        """Read a file for the first time: a member, or the record of its failure."""
+        """Read a file for the first time; add a member, or the record of a failure."""
         task = self._tasks[index]
         run = FileRun(task.input, self._settings, self._progress_of(index))
         try:
@@ -144,7 +143,7 @@ class SetRun:
                 border = shared_borders.find_border(
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
                 )
-                # Those that --lock and --weights name; coordinates are in any file.
+                # Properties that --lock and --weights name; coordinates are in any file.
                 locks = map(parse_lock, self._settings.lock)
                 names = {lock.name for lock in locks if lock and lock.name not in AXES}
                 if self._settings.weights is not None:
@@ -159,11 +158,11 @@ class SetRun:
         self._members.append(Member(index, task, record, border))
 
     def _fixed_points(self, shared: SharedBorders) -> Flags | None:
-        """(n,) border points that a file which failed may share; None if none has failed."""
+        """Border points (n,) that a failed file may share; None if no file has failed."""
         return ~shared.is_shared if self._records else None
 
     def _describe(self) -> tuple[SharedBorders, list[TileSetPart]]:
-        """The borders that members share, and what records say of each."""
+        """The borders that members share, and the ``tile_set`` of each member's record."""
         borders = [member.border for member in self._members]
         is_single = [member.record.precision == "float32" for member in self._members]
         shared = shared_borders.share_borders(borders, is_single)
@@ -200,9 +199,9 @@ class SetRun:
         return shared, parts
 
     def _denoise_members(self) -> None:
-        """Move the vertices of all files, and write each."""
+        """Denoise the joined mesh, and write each file."""
         shared, parts = self._describe()
-        # Of an STL the welded vertices.
+        # For STL these are the welded vertices.
         counts = [member.record.vertices or 0 for member in self._members]
         starts = [0, *itertools.accumulate(counts)]
         on_progress = self._progress_of(self._members[0].index)
@@ -211,10 +210,10 @@ class SetRun:
         joint = run.finish(None)
         known = {name: getattr(joint, name) for name in _OF_SET}
         written = np.full_like(shared.positions, np.nan)
-        # What the first file stores that has a point: the others take it from there.
+        # Positions as the first file that has a point stores it; later files use the same.
         agreed = np.full_like(shared.positions, np.nan)
         is_single = np.zeros(len(self._members), dtype=np.bool_)
-        # Those first that round positions most, so that all can store a shared point alike.
+        # The coarsest precision goes first, so that all files can store a shared point alike.
         for place in sorted(
             range(len(self._members)),
             key=lambda place: _ROUNDING.get(self._members[place].record.precision or "", 2),
@@ -232,7 +231,7 @@ class SetRun:
             agreed[first[is_open]] = points[is_open]
             share = counts[place] / starts[-1]
             peak = joint.peak_memory_bytes or 0
-            # Of writing it, of reading it first, and its share of the joint work.
+            # Of writing it and reading it first, and its share of the joint work.
             seconds = {
                 stage.name: getattr(record.seconds, stage.name)
                 + getattr(member.record.seconds, stage.name)
@@ -250,7 +249,7 @@ class SetRun:
     def _join(
         self, shared: SharedBorders, starts: Sequence[int]
     ) -> tuple[JoinedMesh, Flags | None]:
-        """The joined mesh, and which of its vertices (n,) stay; the files' arrays are freed."""
+        """The joined mesh, and which of its vertices (n,) are fixed; frees the files' arrays."""
         if starts[-1] > np.iinfo(np.int32).max:
             raise TooLargeError(
                 f"the files have {starts[-1]:,} vertices, too many for one mesh",
@@ -285,10 +284,10 @@ class SetRun:
         known: Mapping[str, Any],
         field_values: dict[str, Floats],
     ) -> tuple[MeshRecord, Floats, bool]:
-        """Write a file with new positions (n, 3); its record, its border points (k, 3) as they are
-        in the output, and whether that is in single precision.
+        """Write a file with new positions (n, 3); returns its record, its border points (k, 3) as
+        stored in the output, and whether that has single precision.
 
-        ``known`` are fields of the record that all files of the set share.
+        ``known`` are fields that the records of all files of the set share.
         """
         task = member.task
         run = FileRun(task.input, self._settings, self._progress_of(member.index))
@@ -321,8 +320,8 @@ class SetRun:
     def _record_gaps(
         self, shared: SharedBorders, written: Floats, is_single: Flags, warnings: Sequence[str]
     ) -> None:
-        """Add to the records what the whole set shows, and what a user should know of it."""
-        # Where only some of the files that have a point are in single precision, it counts in that.
+        """Add to the records the gaps between files, and warnings."""
+        # If only some of the files that have a point have single precision, compare in that.
         counts = np.bincount(shared.group, minlength=len(shared.group))
         n_single = np.bincount(
             shared.group, weights=is_single[shared.file_of], minlength=len(shared.group)
@@ -341,15 +340,14 @@ class SetRun:
             # NaN where an output cannot be read back.
             largest = float(gaps[shared.of_file(place)].max(initial=0.0))
             gap = None if np.isnan(largest) else largest
-            notes += _warnings_of(record, gap or 0.0, names)
+            notes += _border_warnings(record, gap or 0.0, names)
             self._records[member.index] = replace(
                 record, tile_gap=gap, warnings=(*record.warnings, *notes)
             )
             notes = []
 
 
-def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[str]:
-    """What a user should know of the borders of a file."""
+def _border_warnings(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[str]:
     part = record.tile_set
     assert part is not None
     notes = []
@@ -375,23 +373,23 @@ def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[
 def _read_points(
     border: Border, mesh_file: MeshFile, made: output.Output, output_path: str
 ) -> tuple[Floats, bool]:
-    """The border points (k, 3) of a file as they are in the bytes of its output, NaN where they
-    cannot be read, and whether these are in single precision."""
+    """The border points (k, 3) of a file as stored in its output (NaN where they cannot be read),
+    and whether that has single precision."""
     unknown = np.full_like(border.positions, np.nan)
     format = None if is_mesh_name(output_path) else mesh_file.format
     try:
-        there, _ = open_mesh(made.data, output_path, format)
+        stored, _ = open_mesh(made.data, output_path, format)
     except MsalError:
         return unknown, False
     has_same_vertices = (
-        len(there.vertices) == len(mesh_file.vertices)
-        and there.merged_vertices == mesh_file.merged_vertices == 0
+        len(stored.vertices) == len(mesh_file.vertices)
+        and stored.merged_vertices == mesh_file.merged_vertices == 0
     )
     if has_same_vertices:
-        unknown[border.points[::-1]] = there.vertices[border.vertices[::-1]]
-        return unknown, there.precision == "float32"
-    if len(there.faces) == len(mesh_file.faces):
-        # The order of vertices is another, such as that of STL, but faces have kept theirs.
-        corners = there.faces.reshape(-1)[border.corners]
-        return there.vertices[corners], there.precision == "float32"
+        unknown[border.points[::-1]] = stored.vertices[border.vertices[::-1]]
+        return unknown, stored.precision == "float32"
+    if len(stored.faces) == len(mesh_file.faces):
+        # The vertices have another order, as in STL, but the faces have kept theirs.
+        corners = stored.faces.reshape(-1)[border.corners]
+        return stored.vertices[corners], stored.precision == "float32"
     return unknown, False

@@ -1,12 +1,12 @@
-"""Supervised worker processes: whatever happens to one of them costs its current file only.
+"""Supervised worker processes: the crash of one costs only its current file.
 
-Every worker is a fresh interpreter with one task at a time.  Two threads of the parent read from
-each (its answers, and what it prints) and put messages into one queue; all decisions are made in
+Every worker is a fresh interpreter that does one task at a time.  Two threads of the parent read
+its answers and what it prints, and put messages into one queue; all decisions are made in
 the thread that iterates.  No signal of the terminal reaches a worker, and a worker ends when its
-pipe does, so none outlives the parent.
+pipe is closed, so none outlives the parent.
 
-The parent writes pickles to the standard input of a worker and reads some from what was its
-standard output; both are hidden from everything else first, so that a library which prints or reads
+The parent writes pickles to the standard input of a worker and reads pickles from its standard
+output.  The worker moves both to private descriptors first, so that a library which prints or reads
 cannot interfere.
 """
 
@@ -42,10 +42,10 @@ from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
 
 Denoise = Callable[..., MeshRecord]
-"""What does one file, such as ``pipeline.denoise_file``."""
+"""A function that denoises one file, such as ``pipeline.denoise_file``."""
 
-# Without -P the first entry of the search path would be the current folder, which may hold any
-# files.
+# Without -P the first entry of the search path would be the current folder, which may contain
+# anything.
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from msal_cli.batch.workers import serve; serve()"
@@ -56,10 +56,10 @@ _LAST_LINES = 40
 _MAX_FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0
 
-# Libraries may come from a network disk that everybody reads at once, but not for ever.
+# Loading libraries takes long if many processes read them from one network disk.
 _READY_WITHIN_S = 600.0
 
-# A process that does not end so long after it was killed waits in the kernel, on a dead disk.
+# A process that has not ended so long after SIGKILL hangs in the kernel, perhaps on a dead disk.
 _ENDS_WITHIN_S = 10.0
 
 _OUT_OF_MEMORY = re.compile(
@@ -73,12 +73,11 @@ _STUCK = "the worker did not exit after SIGKILL; check for a hung disk or networ
 
 _log = logging.getLogger("msal.batch")
 
-# A worker is replaced after so many files, or once its memory has grown so much since the first.
+# A worker is replaced after this many files, or when its memory has grown this much.
 _FILES_PER_WORKER = 1000
 _GROWTH_BYTES = 512 << 20
 
-# More often is a waste of both processes' time, and the stages of a file that is done sooner are
-# nothing to see.
+# More messages would waste the time of both processes; a file that is done sooner shows no stages.
 _BETWEEN_PROGRESS_S = 0.05
 
 _BETWEEN_LOOKS_S = 0.05
@@ -92,7 +91,7 @@ class WorkerPool:
         self._limits = work.limits
         self._jobs = max(1, min(work.jobs, len(work.tasks)))
         self._queue = schedule.TaskQueue(work)
-        # Of tasks that were lost with their workers: how often each, and why the last time.
+        # For tasks that were lost with their workers: how often, and why the last time.
         self._n_losses: collections.Counter[int] = collections.Counter()
         self._reasons: dict[int, str] = {}
         self._warnings: set[tuple[str, str]] = set()
@@ -107,7 +106,7 @@ class WorkerPool:
         self._inbox.put((None, ()))
 
     def batches(self) -> Generator[list[Message], None, None]:
-        """What happens, as it happens.
+        """Messages, as they come (see ``schedule.Engine``).
 
         A task whose worker dies is tried again after all others, alone, in a fresh worker.
         """
@@ -131,7 +130,7 @@ class WorkerPool:
                 if messages and self._work.reports_first:
                     yield messages
                     messages = []
-                # The next tasks go out before the last results are processed.
+                # The next tasks go out before the caller processes the results.
                 messages += self._assign()
         finally:
             self._end()
@@ -145,14 +144,14 @@ class WorkerPool:
         return [worker for worker in self._workers if not worker.is_dismissed]
 
     def _assign(self) -> list[Message]:
-        """Give tasks to the idle and start workers for the rest."""
+        """Give tasks to idle workers, and start workers for the rest."""
         if self._queue.is_next_exclusive:
             return [] if self._is_busy() else self._assign_exclusive()
         cores = max(1, self._work.cores // self._jobs)
         started: list[Message] = []
         for worker in self._active():
             if worker.cores != cores and len(self._queue):
-                # It had the machine for itself, with a thread for every core.
+                # It was started to run alone, with a thread for every core.
                 if worker.current_task is None:
                     worker.dismiss()
             elif worker.is_ready and worker.current_task is None:
@@ -175,7 +174,7 @@ class WorkerPool:
         return started
 
     def _assign_exclusive(self) -> list[Message]:
-        """Give a task that must be alone to a fresh worker that has all cores."""
+        """Give the next task, which must run alone, to a fresh worker that has all cores."""
         unused = [
             worker
             for worker in self._active()
@@ -187,9 +186,9 @@ class WorkerPool:
                 worker.dismiss()
         return self._send_task(alone, self._queue.pop_exclusive()) if alone.is_ready else []
 
-    def _occupancy(self, but: WorkerProcess | None = None) -> tuple[list[int], int]:
-        """The current tasks, and the memory of idle workers, one worker left out."""
-        others = [worker for worker in self._active() if worker is not but]
+    def _occupancy(self, excluded: WorkerProcess | None = None) -> tuple[list[int], int]:
+        """The current tasks, and the bytes of memory of idle workers, without ``excluded``."""
+        others = [worker for worker in self._active() if worker is not excluded]
         idle_bytes = sum(worker.resident_bytes for worker in others if worker.current_task is None)
         current = [worker.current_task for worker in others if worker.current_task is not None]
         return current, idle_bytes
@@ -231,7 +230,7 @@ class WorkerPool:
                 worker.deadline = now + _ENDS_WITHIN_S
                 worker.dismiss()
             elif worker.current_task is not None:
-                # It may still write, so the task is not begun a second time.
+                # It may still write, so the task is not started a second time.
                 failure = Failure("E_TIMEOUT", self._timeout_text(), _STUCK)
                 lost.append(Failed(worker.current_task, failure))
                 worker.current_task, worker.deadline = None, math.inf
@@ -263,7 +262,7 @@ class WorkerPool:
             hint = "this is a defect of msal; please report it"
             return [Failed(index, Failure("E_INTERNAL", reason, hint))]
         elif kind == "exhausted":
-            # What is left of its heap cannot be trusted with another file: it is replaced too.
+            # Its heap is fragmented, so the worker is replaced.
             worker.dismiss()
             return self._handle_loss(worker, self._out_of_memory("not enough memory"))
         elif kind == "unusable":
@@ -305,7 +304,7 @@ class WorkerPool:
         return []
 
     def _cause_of_death(self, worker: WorkerProcess, code: int) -> Failure:
-        """What became of the current task of a worker that died."""
+        """The failure of the current task of a worker that died."""
         if worker.is_overdue:
             hint = "raise --timeout, or look at the file: it may be very large, or damaged"
             return Failure("E_TIMEOUT", self._timeout_text(), hint)
@@ -347,10 +346,9 @@ class WorkerPool:
     # Starting and ending processes
 
     def _start(self, cores: int) -> WorkerProcess:
-        """A new worker that computes with ``cores`` threads; ResourceError if the system cannot
-        start a process."""
+        """Start a worker that computes with ``cores`` threads; ResourceError if that fails."""
         environment = dict(os.environ)
-        # What the user has set stays.
+        # Values that the user has set stay.
         for name in _THREAD_VARIABLES:
             environment.setdefault(name, str(cores))
         command = [sys.executable, "-P", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _BOOT]
@@ -374,10 +372,10 @@ class WorkerPool:
             ) from None
         worker = WorkerProcess(process, process.pid, cores, time.monotonic() + _READY_WITHIN_S)
         self._workers.append(worker)
-        printing = threading.Thread(target=_read_output, args=(worker,), daemon=True)
-        answers = (worker, printing, self._inbox)
-        reading = threading.Thread(target=_read_messages, args=answers, daemon=True)
-        worker.readers += [printing, reading]
+        output_reader = threading.Thread(target=_read_output, args=(worker,), daemon=True)
+        arguments = (worker, output_reader, self._inbox)
+        message_reader = threading.Thread(target=_read_messages, args=arguments, daemon=True)
+        worker.readers += [output_reader, message_reader]
         for thread in worker.readers:
             thread.start()
         work, level = self._work, _log.getEffectiveLevel()
@@ -385,7 +383,7 @@ class WorkerPool:
         return worker
 
     def _stop_workers(self) -> list[Message]:
-        """End all workers and read what they had sent."""
+        """Kill all workers; return the results that they had sent before."""
         for worker in self._workers:
             worker.dismiss()
         messages: list[Message] = []
@@ -407,7 +405,7 @@ class WorkerPool:
             try:
                 worker.process.wait(timeout=max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
-                # It waits in the kernel, for a dead network disk perhaps; the kill stays pending.
+                # It hangs in the kernel, perhaps on a dead network disk; the kill stays pending.
                 _log.warning("worker %d does not end", worker.pid)
                 continue
             self._remove(worker)
@@ -437,9 +435,9 @@ def describe_exit(code: int) -> str:
 
 @dataclass(eq=False)
 class WorkerProcess:
-    """One worker and what is known of it.
+    """One worker and its state.
 
-    ``deadline`` is when (``time.monotonic``) it is to be killed, and ``is_overdue`` that it was.
+    ``deadline`` is when (``time.monotonic``) it is to be killed; ``is_overdue`` that it was.
     """
 
     process: subprocess.Popen[bytes]
@@ -467,7 +465,7 @@ class WorkerProcess:
         return True
 
     def dismiss(self) -> None:
-        """End it at once, whatever it does."""
+        """Kill the worker at once, whatever it does."""
         self.is_dismissed = True
         self.process.kill()
 
@@ -476,7 +474,7 @@ class WorkerProcess:
         for thread in self.readers:
             thread.join(1.0)
         if not any(thread.is_alive() for thread in self.readers):
-            # Otherwise a grandchild has a pipe open, and its number must not be given to another.
+            # Otherwise a grandchild has a pipe open, and its descriptor must not be reused.
             for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
                 # What could not be sent is lost with the worker.
                 with contextlib.suppress(OSError):
@@ -487,14 +485,14 @@ Inbox = queue.SimpleQueue[tuple[WorkerProcess | None, tuple[Any, ...]]]
 """Messages of workers; those without a worker are from the parent to itself."""
 
 
-def _read_messages(worker: WorkerProcess, printing: threading.Thread, inbox: Inbox) -> None:
+def _read_messages(worker: WorkerProcess, output_reader: threading.Thread, inbox: Inbox) -> None:
     try:
         while True:
             inbox.put((worker, pickle.load(worker.process.stdout)))  # type: ignore[arg-type]
     except (EOFError, OSError, pickle.UnpicklingError):
         code = worker.process.wait()
         # What it printed last is worth a moment, but a grandchild may hold that pipe for ever.
-        printing.join(0.5)
+        output_reader.join(0.5)
         inbox.put((worker, ("gone", code)))
 
 
@@ -510,15 +508,15 @@ def _read_output(worker: WorkerProcess) -> None:
 
 def send(pipe: IO[bytes] | None, message: object) -> None:
     """Send one message to a pipe; OSError if it has no reader."""
-    # Whole, so that what cannot be pickled leaves no half of a message.
+    # Pickled first, so that an object which cannot be pickled leaves no half of a message.
     pipe.write(pickle.dumps(message, protocol=5))  # type: ignore[union-attr]
     pipe.flush()  # type: ignore[union-attr]
 
 
 def serve() -> None:
-    """Work until the parent closes the pipe or is gone."""
+    """Do tasks until the parent closes the pipe or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Copies of standard input and output; the originals then lead to nothing and to stderr.
+    # Use copies of standard input and output; the originals then lead to /dev/null and stderr.
     sys.stdout.flush()
     orders, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as nothing:
@@ -528,7 +526,7 @@ def serve() -> None:
     lock = threading.Lock()
 
     def respond(*message: Any) -> None:
-        """Send a message to the parent; any thread may."""
+        """Send a message to the parent, from any thread."""
         try:
             with lock:
                 send(answers, message)
@@ -536,7 +534,7 @@ def serve() -> None:
             os._exit(0)
 
     try:
-        # Its work is ``function(task, common, on_progress)``; what ``Work`` says of both.
+        # ``function`` and ``common`` are those of ``schedule.Work``.
         function, common, log_level, limit = pickle.load(orders)
         root = logging.getLogger()
         root.addHandler(_ParentLog(respond))
@@ -552,7 +550,7 @@ def serve() -> None:
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
     def receive() -> None:
-        # The whole process ends, even in the middle of a task, with the parent.
+        # When the parent ends, this process ends at once, even within a task.
         try:
             while True:
                 tasks.put(pickle.load(orders))
@@ -564,10 +562,10 @@ def serve() -> None:
     while True:
         index, task = tasks.get()
         work = functools.partial(function, task, common)
-        _do(work, index, limit, respond)
+        _run_task(work, index, limit, respond)
 
 
-def _do(
+def _run_task(
     work: Callable[..., Any], index: int, limit: int | None, respond: Callable[..., None]
 ) -> None:
     begun = time.monotonic()
@@ -595,12 +593,12 @@ def _do(
 
 @contextlib.contextmanager
 def limited_memory(limit: int | None) -> Iterator[None]:
-    """Have Linux refuse memory once about ``limit`` bytes are resident, pages of files aside: it
-    takes these back where it needs memory.
+    """Let Linux refuse memory once about ``limit`` bytes are resident, not counting pages of files,
+    which it can reclaim.
 
-    The system can bound private writable memory (RLIMIT_DATA), touched or not.  Some of it never
-    is (stacks of threads, buffers of libraries), while the code of libraries is resident and not
-    writable, so the difference of the two is allowed for, anew for every file.
+    The system can limit private writable memory (RLIMIT_DATA), touched or not.  Some of it is never
+    touched (stacks of threads, buffers of libraries), while the code of libraries is resident but
+    not writable.  So the difference of the two, measured for every file, is added to the limit.
     """
     if limit is None or not sys.platform.startswith("linux"):
         yield
@@ -611,10 +609,10 @@ def limited_memory(limit: int | None) -> Iterator[None]:
 
     import msal_cli.job.pipeline  # noqa: F401
 
-    # The library of linear algebra reserves 100 MB that it hardly touches; refused, it would end
-    # the process, however high the limit is above the 40 MB that are resident.
+    # The linear algebra library reserves 100 MB, 40 MB of which become resident, and would abort
+    # the process if that were refused; so it reserves them now.
     _ = np.ones((200, 200)) @ np.ones((200, 200))
-    # The peak before may have counted pages of files.
+    # The peak so far may include pages of files.
     forget_peak()
     own = memory_bytes("VmData") - memory_bytes("VmRSS")
     # Kernels will start threads, and a limit may leave less than their stacks.
@@ -631,7 +629,7 @@ def limited_memory(limit: int | None) -> Iterator[None]:
 
 
 def _watch_memory(limit: int, respond: Callable[..., None]) -> None:
-    """End this process once it has used too much, where the system cannot refuse memory."""
+    """End this process once it uses more than ``limit`` bytes, where the system refuses nothing."""
     while True:
         time.sleep(_BETWEEN_LOOKS_S)
         used = memory_bytes("VmRSS") or peak_bytes() or 0
@@ -652,9 +650,9 @@ class _ParentLog(logging.Handler):
 def denoise_in_worker(
     task: Task, common: tuple[Denoise, Settings], on_progress: Callable[[str, int, int], None]
 ) -> MeshRecord:
-    """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
-    alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
-    by forecast would come again."""
+    """Denoise one file in a worker.  MemoryError is raised again, so that the file gets a second
+    try alone and the worker, whose heap is fragmented, is replaced; but not where the forecast
+    refused the file, because a second try would end the same."""
     denoise, settings = common
     record = denoise(task, settings, on_progress)
     error = record.error
