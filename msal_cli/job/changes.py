@@ -1,4 +1,4 @@
-"""What records say of meshes and of what became of them: defects, noise, displacement, volume."""
+"""Fields of a record: the defects and the noise of a mesh, and what denoising changed."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ INSIDE_OUT = "W_INSIDE_OUT"
 
 _WITHOUT = "without a method and parameters (--method, -n, -K, --mollify, --schedule, --set)"
 _MIN_MOVE_EDGES = 0.005
-"""Mean displacement in mean edge lengths below which nothing worth a warning has happened."""
+"""Mean displacement in mean edge lengths below which a named method causes no warning."""
 
 _RULED = 0.2
-"""The 99th percentile of lambda below which one spike rules it.  Without spikes it is 0.28 and more
-on scans and on models with any noise; one spike of ten mean edge lengths makes it 0.11 to 0.15."""
+"""One spike rules lambda if its 99th percentile is below this.  Without spikes it is 0.28 or
+more on scans and on models with any noise; with one of ten mean edge lengths it is 0.11 to 0.15."""
 
 _MAX_SAMPLED = 16_384
-"""Vertices whose lambda is sampled."""
+"""Vertices at which lambda is sampled, about."""
 
 _OF_LEVEL = ("mean_edges", "file_units", "rms_edges", "tail", "regions")
 _OF_CHARACTER = ("kind", "rings", "direction", "axis", "outliers", "confidence", "basis", "words")
-"""Fields of the record that have the names of the estimate's."""
+"""Fields of the record that have the same names in the estimate."""
 
 _DEFECTS = (
     *("components", "boundary_edges", "non_manifold_edges", "inconsistent_edges"),
     *("degenerate_faces", "duplicate_faces", "unreferenced_vertices"),
 )
-"""Fields of the record that have the names of the defects'."""
+"""Fields of the record that have the same names in the defects of a mesh."""
 
 _DAMAGE_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What changed: fields of the record, warnings, each with its code, and the harm, if any."""
+    """What denoising changed: fields of the record, warnings as (code, text), and any harm."""
 
     fields: dict[str, Any]
     warnings: tuple[tuple[str, str], ...]
@@ -53,8 +53,7 @@ class Measured:
 
 
 def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
-    """Fields of the record: the defects; ``n_merged`` vertices were merged when the file was
-    read."""
+    """The defects as fields of the record; the reader has merged ``n_merged`` vertices."""
     return {name: getattr(ready.defects, name) for name in _DEFECTS} | {
         "welded_vertices": ready.defects.welded_vertices + n_merged,
         "mean_edge_length": ready.mesh.mean_edge_length,
@@ -62,7 +61,7 @@ def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
 
 
 def file_fields(mesh_file: MeshFile) -> dict[str, Any]:
-    """Fields of the record: what the file says of itself."""
+    """Format and counts of a file as fields of the record."""
     return {
         "format": mesh_file.format,
         "encoding": mesh_file.encoding,
@@ -75,7 +74,7 @@ def file_fields(mesh_file: MeshFile) -> dict[str, Any]:
 
 
 def noise_field(mesh: Mesh) -> records.NoiseEstimate:
-    """The noise as records have it."""
+    """The estimated noise of a mesh as a field of the record."""
     from msal_cli.analysis.noise_estimate import estimate_noise
 
     level = estimate_noise(mesh)
@@ -99,20 +98,20 @@ def noise_field(mesh: Mesh) -> records.NoiseEstimate:
 
 
 def displacement_field(statistics: DistanceStatistics, edge: float) -> records.Displacement:
-    """How far vertices moved, ``edge`` being the mean edge length before."""
+    """How far vertices moved; ``edge`` is the mean edge length before."""
     lengths = distance_fields(statistics, edge)
     return records.Displacement(**lengths, moved_vertices=statistics.n_moved)
 
 
 def distance_fields(statistics: DistanceStatistics, edge: float) -> dict[str, float]:
-    """Each in file units and, its name ending in ``_edges``, in mean edge lengths before."""
+    """Distances in file units and, with names in ``_edges``, in the mean edge length before."""
     lengths = {name: getattr(statistics, name) for name in ("mean", "rms", "p95", "max")}
     return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
 def volume_changed(before: float, after: float, area: float, objection: str) -> records.Volume:
-    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
-    volume means nothing, empty if it does."""
+    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` the reason
+    why the volume is not valid, empty if it is."""
     from msal_cli.analysis.measures import relative_volume_change
 
     share = relative_volume_change(before, after, area)
@@ -125,11 +124,11 @@ def area_changed(before: float, after: float) -> records.Area:
 
 
 def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool = True) -> Measured:
-    """What changed when the mesh's positions became ``moved`` (n, 3).
+    """Measure what changed when the mesh's positions became ``moved`` (n, 3).
 
-    The method was ``given`` the mesh, without the outliers that were brought back, whose ways its
-    noise does not explain.  ``is_named`` is whether the user named the method, or none ran, rather
-    than a choice.
+    ``given`` is the mesh that the method got: its noise does not explain the displacement of
+    outliers, which were brought back before.  ``is_named`` is whether the user named the method, or
+    none ran; a chosen method gets less leeway.
     """
     from msal_cli.analysis import measures
 
@@ -147,18 +146,18 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
     if harm is None:
         level = max(known.high_edges or 0.0, known.rms_edges or 0.0, known.mean_edges)
         if known.step_edges:
-            # Steps tell the level exactly, and no vertex was moved by more than half of one.
+            # Steps give the level exactly, and it moved no vertex by more than half of one.
             level = known.mean_edges
-        ways, change = statistics, surface
+        distances, change = statistics, surface
         if given.vertices is not before.vertices:
-            ways = measures.displacement(given, after)
+            distances = measures.displacement(given, after)
             change = enclosed.change(given, after, measures.measure_surface_change(given, after))
         harm = measures.excessive_change(
             given,
             after,
             change,
             level,
-            ways.p95 / before.mean_edge_length,
+            distances.p95 / before.mean_edge_length,
             has_volume=not objection,
             leeway=measures.NAMED_LEEWAY if is_named else 1.0,
         )
@@ -187,10 +186,10 @@ def method_warnings(
     displacement: records.Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
-    """Where a method that the user named harms the mesh: each with what is better.
+    """Warnings that a method which the user named harms the mesh, each with a better way.
 
-    Where noise may be texture it is not known what is better, and none is about noise.
-    ``is_ruled`` is what ``is_ruled_by_spike`` gave.
+    There is none about too much noise where that may be texture: it is not known what is better.
+    ``is_ruled`` is the result of ``is_ruled_by_spike``.
     """
     from msal_cli.analysis.noise_estimate import SURE
 
@@ -203,12 +202,12 @@ def method_warnings(
             f"and so does msal {_WITHOUT}",
         )
     warnings = []
-    most = method.most_noise_edges(parameters)
-    # As it is printed, or a limit of 0.15 would be exceeded by 0.15.
-    if round(noise.mean_edges, 2) > most and not noise.unsure:
+    max_noise = method.most_noise_edges(parameters)
+    # Rounded as it is printed: else 0.15 could exceed a limit of 0.15.
+    if round(noise.mean_edges, 2) > max_noise and not noise.unsure:
         warnings.append(
             f"noise {noise.mean_edges:.2g} e is more than {method.name} is made for with these "
-            f"parameters (about {most:g} e): --auto is better, and so is msal {_WITHOUT}"
+            f"parameters (about {max_noise:g} e): --auto is better, and so is msal {_WITHOUT}"
         )
     if is_ruled and method.uses_largest_sigma(parameters):
         warnings.append(
@@ -218,7 +217,7 @@ def method_warnings(
 
 
 def is_ruled_by_spike(fidelity: Floats | None) -> bool:
-    """Whether lambda (n,) of the first sweep is small nearly everywhere beside its maximum, 1."""
+    """Whether lambda (n,) of the first sweep is nearly everywhere small against its maximum, 1."""
     if fidelity is None:
         return False
     sample = fidelity[:: max(len(fidelity) // _MAX_SAMPLED, 1)]

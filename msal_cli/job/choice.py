@@ -1,7 +1,5 @@
-"""What is run on one mesh: whether it stays as it is, without outliers, and which method.
-
-All of it counts as the stage ``choose`` of a record.
-"""
+"""Decide what runs on one mesh: whether it stays as it is, whether outliers are brought back first,
+and which method.  The time counts as the stage ``choose`` of a record."""
 
 from __future__ import annotations
 
@@ -22,24 +20,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """What is to be run on a mesh, and how that came about."""
+    """What is to be run on a mesh, and why."""
 
     mesh: Mesh  # the mesh to denoise, without its outliers if they were brought back
     method: Method | None = None  # None where the mesh stays as it is
     parameters: Mapping[str, Any] = field(default_factory=dict)  # all parameters of the method
     known: dict[str, Any] = field(default_factory=dict)  # fields of the record
     warnings: tuple[str, ...] = ()  # for the record
-    share: float = 1.0  # how much of what would be done without wishes is done, above 0 to 1
+    share: float = 1.0  # part of the full displacement that the wishes allow, above 0 to 1
 
 
 def looks_at_mesh(settings: Settings) -> bool:
-    """Whether ``prepare`` looks at a mesh, which takes time, or does the same with every mesh."""
+    """Whether ``prepare`` examines a mesh, which takes time; else it treats all meshes alike."""
     is_named = settings.method not in CHOOSING
     return not is_named or settings.looks_for_outliers or settings.min_noise is not None
 
 
 def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
-    """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
+    """Apply ``settings`` to one mesh; ``on_step(done, total)`` is called while choosing."""
     from msal_cli import methods
 
     if settings.min_noise is not None:
@@ -88,8 +86,8 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
 def choose(
     mesh: Mesh, among: str, given: Mapping[str, Any], on_step: Callable[[int, int], None]
 ) -> Preparation:
-    """The choice for ``mesh`` by the wishes ``given``, fields of ``Wishes``: ``among`` all methods,
-    ``AUTO``, or within the family of equation (2), ``ADAPTIVE``."""
+    """Choose for ``mesh`` by the wishes ``given``, fields of ``Wishes``: ``among`` all methods
+    (``AUTO``), or within the family of equation (2) (``ADAPTIVE``)."""
     from msal_cli import methods
 
     auto_seconds, wishes = None, Wishes(**given)
@@ -119,7 +117,7 @@ def choose(
     )
     warnings: tuple[str, ...] = ()
     if mesh.trust is not None and method is not None and not method.has_data_term(parameters):
-        # A choice avoids this where it can.
+        # A choice avoids such methods where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
     known = {"method": MethodUsed(choice.method, parameters), "choice": made}
     return Preparation(mesh, method, parameters, known, warnings, wishes.share)
@@ -128,10 +126,10 @@ def choose(
 def choose_weaker(
     mesh: Mesh, settings: Settings, choice: ChoiceMade, harm: Harm
 ) -> tuple[Settings, Preparation] | None:
-    """The choice by the next lesser wishes, and the settings that have them, for a mesh that the
-    ``choice`` for more smoothing would damage by ``harm``; None where no more is wished for.
+    """Choose by the next weaker wishes, for a mesh that the ``choice`` would damage by ``harm``;
+    returns the settings with these wishes, too, or None if there are no weaker ones.
 
-    So more strength never moves vertices less.
+    This way a greater strength never moves vertices less.
     """
     wishes = Wishes(**settings.parameters)
     if wishes.weaker is None:
@@ -147,17 +145,17 @@ def choose_weaker(
 
 
 MILDER = (0.5, 0.25, 0.0)
-"""Shares of the noise that a mesh is smoothed for, one after the other, where the method that was
-chosen would damage it; 0 leaves it as it is."""
+"""Shares of its noise that a mesh is smoothed for, one after the other, where the chosen method
+would damage it; 0 leaves it as it is."""
 
 
 def soften_choice(
     given: Mesh, chosen: Preparation, choice: ChoiceMade, harm: Harm, share: float
 ) -> Preparation:
-    """A milder preparation for a mesh that ``chosen`` would damage: by AL with the Wiener schedule
-    for this ``share`` of its noise; for 0 the mesh as it was ``given``.
+    """A milder preparation for a mesh that ``chosen`` would damage: AL with the Wiener schedule for
+    this ``share`` of its noise; for 0 the mesh as it was ``given``.
 
-    ``choice`` is the first one, before anything was milder.
+    ``choice`` is the first choice, before any was softened.
     """
     import numpy as np
 
@@ -203,7 +201,7 @@ def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, .
     for spec in method.parameters:
         value = values[spec.name]
         if value != spec.default:
-            # repr gives the very number back.
+            # repr is exact: it is parsed as the same number.
             text = repr(value) if isinstance(value, float) else str(value)
             options += ["--set", f"{spec.name}={text}"]
     return tuple(options)

@@ -1,7 +1,7 @@
-"""Files that are measured, not denoised: what is in one, and two of them against each other.
+"""Measure files without denoising them: inspect one, or compare two.
 
-Like ``pipeline``, ``inspect_file`` and ``compare_files`` never raise for a file's fault: that
-becomes a record with an error.
+Like ``pipeline``, ``inspect_file`` and ``compare_files`` never raise for a bad file: its record has
+an error.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,9 +58,9 @@ def inspect_file(
     data: Buffer | None = None,
     with_intersections: bool = False,
 ) -> InfoRecord:
-    """What is in a file, or in its ``data``; one that cannot be read gives a record with an error.
+    """Inspect a file, or its ``data``; a file that cannot be read gives a record with an error.
 
-    ``with_intersections`` counts the faces that intersect each other, the longest part.
+    ``with_intersections`` counts the faces that intersect each other, which takes longest.
     """
     try:
         with nullcontext() if data is not None else room_for_files((path,), format):
@@ -119,7 +119,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
 def compare_files(
     before: str, after: str, format: str | None = None, **options: Any
 ) -> ComparisonRecord:
-    """As ``measure_files``; what cannot be read gives a record with an error."""
+    """As ``measure_files``, but files that cannot be read give a record with an error."""
     try:
         return measure_files(before, after, format, **options)
     except Exception as error:
@@ -136,7 +136,7 @@ def measure_files(
     with_intersections: bool = False,
     open_file: Callable[[str, str | None], MeshFile] = open_mesh_file,
 ) -> ComparisonRecord:
-    """A file against the reference ``before``; MsalError where one of them cannot be read.
+    """Compare a file with the reference ``before``; MsalError if one of them cannot be read.
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
@@ -148,9 +148,9 @@ def measure_files(
 def with_references(
     records: Sequence[MeshRecord], references: Sequence[str], format: str | None = None
 ) -> list[MeshRecord]:
-    """The records with their outputs, as they were written, measured against ``references``.
+    """Measure the outputs of records against ``references``, which has a path for each record.
 
-    There is a path for each record.  Records without an output stay as they are.
+    Returns new records; those without an output stay as they are.
     """
     shared = {field.name for field in fields(Reference)} - {"path"}
     measured = []
@@ -172,12 +172,12 @@ def compare_meshes(
     to_surface: bool = True,
     with_intersections: bool = False,
 ) -> ComparisonRecord:
-    """What became of ``before``, the reference.
+    """Compare ``after`` with ``before``, the reference.
 
     With ``to_surface`` the distances from surface to surface and the Hausdorff distance are
     measured too; ``with_intersections`` counts the faces of each that intersect each other.
 
-    Raises ContentError if one of them is no mesh to compute with.
+    Raises ContentError if one of them cannot be computed with.
     """
     first = prepare_mesh(before, before_name)
     second = prepare_mesh(after, after_name)
@@ -238,7 +238,7 @@ def compare_meshes(
 def _add_changes(
     figures: dict[str, Any], first: PreparedMesh, other: Mesh | PreparedMesh
 ) -> list[str]:
-    """Add what changed to the ``figures`` of a record, and return warnings; ``other`` is a mesh
+    """Add what changed to ``figures``, fields of a record, and return warnings; ``other`` is a mesh
     with the faces of ``first``, or a prepared one with its own."""
     before, defects = first.mesh, first.defects
     objection = defects.volume_objection
@@ -263,7 +263,7 @@ def _add_changes(
         }
     enclosed = measures.enclosure_of(before, defects, area_before, volume_before)
     enclosed_after = measures.enclosure_of(after, defects_after, area_after, volume_after)
-    # Meshes with other faces may have another side outside.
+    # With other faces, the outside may be on the other side.
     of_after = enclosed_after if isinstance(other, PreparedMesh) else enclosed
     volume = changes.volume_changed(
         enclosed.volume(before, volume_before),
@@ -286,10 +286,10 @@ def _add_changes(
 
 
 def deviations(before: Surface, after: Surface) -> Floats:
-    """How far each vertex of ``after`` (n,) is from ``before``: from the vertex that corresponds
-    to it or, where the faces are not the same, from the surface; file units.
+    """The distance of each vertex of ``after`` (n,) from ``before``, file units: from the vertex
+    that corresponds to it or, where the faces are not the same, from the surface.
 
-    A vertex that no face uses counts like any other.
+    Vertices that no face uses are included.
     """
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
@@ -301,9 +301,9 @@ def build_heatmap(
     before: MeshFile, after: MeshFile, before_name: str
 ) -> tuple[Buffer, float, float]:
     """``after`` as PLY with its deviations from ``before`` as property and colours, and the range
-    of these, file units.
+    of the colours, file units.
 
-    The colours go to the 99th percentile, so that few outliers do not leave all in one colour.
+    The range ends at the 99th percentile, so that a few outliers do not leave all in one colour.
     """
     from msal_cli.codecs import colours, ply_write
 

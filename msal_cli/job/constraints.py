@@ -1,7 +1,7 @@
-"""What keeps vertices near their place: --max-move, --lock and --weights.
+"""Constraints that keep vertices near their place: --max-move, --lock and --weights.
 
-A limit and pins hold whatever the method does.  Methods that know of pins treat the pinned vertices
-as fixed during their sweeps, and trust goes into the data term of those that have one.
+Limits and pins apply to the result of any method.  Methods that support pins also treat the pinned
+vertices as fixed during their sweeps.  Trust goes into the data term of methods that have one.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from msal_cli.kernels.geometry import distances
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, PreparedMesh
 
-# Of a sum of coordinates, and of the distance between two points, relative to the largest of them.
+# Rounding error of a sum of coordinates and of a distance, relative to the largest coordinate.
 _ROUNDING = 2.0**-50
 
 
@@ -24,16 +24,16 @@ _ROUNDING = 2.0**-50
 class Constraints:
     """The constraints on one mesh."""
 
-    mesh: Mesh  # to be denoised; it knows of the pins and the trust
+    mesh: Mesh  # to be denoised, with the pins and the trust
     held: Flags | None  # (n,) vertices that are pinned, or None
-    limit: float | None  # longest way of a vertex in file units, or None
+    limit: float | None  # largest displacement of a vertex in file units, or None
 
     def apply(self, vertices: Floats) -> tuple[Floats, int]:
-        """A method's result (n, 3) with pinned vertices back in their place and the ways of others
-        cut to the limit, and how many were cut.
+        """A method's result (n, 3) with pinned vertices back in their place and the displacement of
+        others cut to the limit, and how many were cut.
 
-        Not even by rounding do they go further, so that a gate at the limit holds: they stop a
-        little before it.
+        They stop slightly before the limit, so that rounding does not take them beyond it and a
+        gate at the limit holds.
         """
         before, limit = self.mesh.vertices, self.limit
         if self.held is not None:
@@ -46,8 +46,8 @@ class Constraints:
             vertices = vertices.copy()
             start = before[beyond]
             reached = max(0.0, limit - _ROUNDING * float(np.abs(start).max() + limit))
-            ways = vertices[beyond] - start
-            vertices[beyond] = start + ways * (reached / lengths[beyond])[:, None]
+            moves = vertices[beyond] - start
+            vertices[beyond] = start + moves * (reached / lengths[beyond])[:, None]
         return vertices, len(beyond)
 
 
@@ -58,8 +58,8 @@ def build_constraints(
 
     ``pinned`` (n_file,) are vertices that stay whatever the settings say.
 
-    Raises InputError if the file has no such property (``E_PROPERTY``), or one that means nothing
-    as trust.
+    Raises InputError if the file lacks a property (``E_PROPERTY``), or if the property cannot be
+    used as trust.
     """
     max_move, weights = settings.max_move, settings.weights
     mesh = ready.mesh
@@ -73,7 +73,7 @@ def build_constraints(
         else:
             flags.append(select_vertices(lock, mesh_file.vertex_property(lock.name)))
     for file_pins in flags:
-        # With a vertex all that coincide with it.
+        # A pin applies to all vertices that coincide.
         held |= _spread_largest(ready, file_pins.astype(np.float64)) > 0.0
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
@@ -82,9 +82,9 @@ def build_constraints(
 
 
 def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
-    """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
+    """Trust (n,) from 0 to 1: the property over its largest value, where it is above 0.
 
-    Of vertices that coincide the most trusted counts.
+    Of coincident vertices the most trusted counts.
     """
     if name in AXES:
         raise ContentError(
@@ -110,8 +110,8 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
 
 
 def _spread_largest(ready: PreparedMesh, values: Floats) -> Floats:
-    """For values (n_file,) of at least 0 at the file's vertices, the largest at each of the mesh's
-    (n,)."""
+    """For each of the mesh's vertices (n,) the largest of the ``values`` (n_file,), at least 0, of
+    the file's vertices."""
     if ready.vertex_map is None:
         return values
     largest = np.zeros(len(ready.mesh.vertices))
@@ -121,10 +121,10 @@ def _spread_largest(ready: PreparedMesh, values: Floats) -> Floats:
 
 
 def select_vertices(lock: Lock, values: Floats) -> Flags:
-    """For which of a property's values (n,) the lock holds.
+    """Which vertices a lock selects, by a property's values (n,).
 
-    A property in single precision is compared in single precision: what was stored as 0.2 is 0.2,
-    and not a little more.
+    A property in single precision is compared in single precision, so that a stored 0.2 is equal
+    to 0.2.
     """
     value: Any = lock.value
     with np.errstate(over="ignore", invalid="ignore"):

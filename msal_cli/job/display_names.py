@@ -1,43 +1,43 @@
-"""Names and figures as text: reversibly for programs, harmlessly for people.
+"""Names and numbers as text: reversible for programs, harmless for people.
 
 The system gives names as text in which a byte that is not valid UTF-8 becomes a lone surrogate
-(``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
+(``os.fsdecode``).  Such text cannot be written as UTF-8, or as JSON that every reader accepts.
 """
 
 import re
 import unicodedata
 
-# A surrogate, or a backslash that a reader would take for the beginning of an escaped one.
+# A surrogate, or a backslash that would look like the start of an escaped one.
 _TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
 _ESCAPED = re.compile(r"\\u(d[89a-f][0-9a-f]{2}|005c)")
 
 _LOG_COMMAND = re.compile(r"\s*::")
-# These are obeyed anywhere in a line.
+# Build services obey these anywhere in a line.
 _INNER_COMMAND = re.compile(r"#(?=#\w*\[)")
 
 _UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 
 
 def portable(text: str) -> str:
-    """``text`` as valid Unicode; ``restored`` gives it back.
+    """``text`` as valid Unicode; ``restore_name`` is the inverse.
 
-    A byte NN that is not UTF-8 becomes the six characters ``\\udcNN``.  Where a name itself holds
-    such a sequence its backslash becomes ``\\u005c``.  All other text is left as it is.
+    A byte NN that is not UTF-8 becomes the six characters ``\\udcNN``.  Where a name itself has
+    such a sequence, its backslash becomes ``\\u005c``.  All other text stays as it is.
     """
     return _TO_ESCAPE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def restore_name(text: str) -> str:
-    """The text that ``portable`` was given."""
+    """The text that ``portable`` was called with."""
     return _ESCAPED.sub(lambda found: chr(int(found[1], 16)), text)
 
 
 def escape_for_display(text: str) -> str:
-    """``text`` for a terminal or a log: one line, and nothing in it that a terminal obeys.
+    """``text`` for a terminal or a log: one line, with nothing that a terminal would execute.
 
-    Control and format characters (line ends, escape sequences, marks that turn the writing
-    direction) become ``\\xNN`` or ``\\uNNNN``, a byte that is not UTF-8 becomes ``\\xNN``.  So does
-    the first character of what a build service would take for a command in its log (``::error::``,
+    Control and format characters (line ends, escape sequences, changes of the writing direction)
+    become ``\\xNN`` or ``\\uNNNN``, a byte that is not UTF-8 becomes ``\\xNN``.  So does the first
+    character of what a build service would execute as a command in its log (``::error::``,
     ``##vso[...]``).
     """
     if _LOG_COMMAND.match(text):
@@ -61,7 +61,7 @@ def _escape_character(character: str) -> str:
 
 
 def columns(text: str) -> int:
-    """The columns that ``text`` takes on a terminal: East Asian wide characters take two."""
+    """The width of ``text`` on a terminal: East Asian wide characters take two columns."""
     if text.isascii():
         return len(text)
     return sum(_character_columns(character) for character in text)
@@ -74,18 +74,18 @@ def _character_columns(character: str) -> int:
 
 
 def shorten_name(text: str, width: int) -> str:
-    """``text`` in at most ``width`` columns; the end of a path says more than its beginning."""
+    """``text``, or its end, in at most ``width`` columns: the end of a path says most."""
     if columns(text) <= width:
         return text
-    taken, start = 3, len(text)
-    while start and taken + _character_columns(text[start - 1]) <= width:
+    used, start = 3, len(text)
+    while start and used + _character_columns(text[start - 1]) <= width:
         start -= 1
-        taken += _character_columns(text[start])
+        used += _character_columns(text[start])
     return "..." + text[start:]
 
 
 def pad_name(text: str, width: int, *, right: bool = False) -> str:
-    """``text`` filled with spaces to ``width`` columns, to the right edge if ``right``."""
+    """``text`` padded with spaces to ``width`` columns, aligned right if ``right``."""
     fill = " " * max(0, width - columns(text))
     return fill + text if right else text + fill
 

@@ -1,7 +1,7 @@
-"""Numbers at the vertices that show what denoising did, for ``msal denoise --fields``.
+"""Fields for ``msal denoise --fields``: numbers at the vertices that show what denoising did.
 
-Each has a name, and colours that a quantile of its values bounds, so that a few outliers do not
-leave all the rest in one colour.
+A quantile of its values bounds the colours of a field, so that a few outliers do not leave all the
+rest in one colour.
 """
 
 import hashlib
@@ -26,13 +26,13 @@ from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
 SUFFIX = ".fields.ply"
-"""What takes the place of an output's suffix."""
+"""Replaces the suffix of an output."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a field is, for people, and how it is coloured: the map, and the share of the vertices
-    whose values (without sign, for the diverging map) the range covers."""
+    """What a field means, its colour map, and the quantile of its values (absolute ones with the
+    diverging map) that ends the range of colours."""
 
     meaning: str
     map: str
@@ -54,11 +54,11 @@ KINDS = {
         0.95,
     ),
 }
-"""The fields by name, as they are stored."""
+"""The fields by the names under which they are stored."""
 
 
 def path_beside(output: str) -> str:
-    """Where the fields of an output are written."""
+    """The path of the file with the fields of an output."""
     folder, base = os.path.split(output)
     stem = base[:-3] if base.lower().endswith(".gz") else base
     return os.path.join(folder, os.path.splitext(stem)[0] + SUFFIX)
@@ -73,10 +73,10 @@ def compute(
 ) -> dict[str, Floats]:
     """The fields of a mesh that was denoised to ``moved`` (n, 3), at the file's vertices (n_file,).
 
-    sigma, and the direction of a displacement, are measured along the normals that the method moves
-    along, by its ``parameters``.  ``fidelity`` (n,) is lambda of the method's first sweep;
-    without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
-    uses have 0.  Outward is away from the solid, also where its surface is inside out.
+    sigma, and the direction of a displacement, are measured along the normals that the method uses
+    with its ``parameters``.  ``fidelity`` (n,) is lambda of the method's first sweep; without it,
+    or where it is all 0, lambda is sigma / max sigma.  Vertices that no face uses have 0.  Outward
+    is away from the solid, also where its surface is inside out.
     """
     mesh = ready.mesh
     normals = mesh.vertex_normals(
@@ -107,9 +107,9 @@ def compute(
 def build_file(
     mesh_file: MeshFile, vertices: Floats, values: Mapping[str, Floats], path: str
 ) -> tuple[Buffer, FieldsFile]:
-    """A PLY of the output with its fields, the first one as colours, and its part of the record.
+    """A PLY of the output, with its fields and the colours of the first one, and its record.
 
-    ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, one at least.
+    ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, at least one.
     """
     name, shown = next(iter(values.items()))
     kind = KINDS[name]
@@ -134,7 +134,7 @@ def build_file(
 
 
 def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:
-    """Write a file of fields; OutputError if it would replace a file that is none."""
+    """Write a file of fields; OutputError if it would replace any other file."""
     path = described.path
     head = None
     try:

@@ -1,4 +1,4 @@
-"""The bytes of an output file, denoised or with noise added: made, checked and written."""
+"""Build the bytes of an output file, denoised or with noise added, check and write them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """An input file: its bytes as they came, its name, and whether they are gzip's."""
+    """An input file: its bytes as read, its name, and whether gzip compressed them."""
 
     data: Buffer
     name: str
@@ -36,23 +36,23 @@ class Source:
 class Output:
     """An output file that is yet to be written."""
 
-    data: Buffer  # its bytes; those of the input itself where nothing has changed
-    # files that it names, as the input does; a conversion drops them
+    data: Buffer  # its bytes; those of the input itself if nothing has changed
+    # files that the input and the output refer to; a conversion drops them
     references: tuple[str, ...] = ()
-    companions: tuple[Companion, ...] = ()  # files that it names and that hold a part of it
-    losses: tuple[str, ...] = ()  # what its format cannot hold
+    companions: tuple[Companion, ...] = ()  # files that it refers to and that contain a part of it
+    losses: tuple[str, ...] = ()  # what its format cannot store
     sources: tuple[str, ...] = ()  # files beside the input that its mesh was read from
 
 
 def build_output(
     mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, source: Source
 ) -> Output:
-    """The output for positions (n, 3) of a file's vertices, read back where it was encoded anew.
+    """Build the output for positions (n, 3) of a file's vertices; check it by reading it back.
 
     ``path`` is where it is to be written; None for a pipe.
 
-    Raises LossError if ``settings`` are strict and another format would lose something, and
-    InternalError if the output does not hold what it should.
+    Raises LossError if ``settings`` are strict and a conversion would lose something, and
+    InternalError if the output does not contain what it should.
     """
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target, *how = _format_of_output(mesh_file, settings, path)
@@ -90,8 +90,8 @@ def build_output(
 def as_stored(
     mesh_file: MeshFile, settings: Settings, path: str | None, vertices: Floats
 ) -> Floats:
-    """New positions (n, 3) as the number type of the output at ``path`` holds them; in a text they
-    have more digits."""
+    """New positions (n, 3) rounded to the number type of the output at ``path``; a text may round
+    them to fewer digits."""
     how = _format_of_output(mesh_file, settings, path)
     if how == (mesh_file.format, "same", "same"):
         return mesh_file.as_stored(vertices)
@@ -103,7 +103,7 @@ def as_stored(
 def _format_of_output(
     mesh_file: MeshFile, settings: Settings, path: str | None
 ) -> tuple[str, str, str]:
-    """Format (of ``--to``, else of the output's name, else the input's), encoding and precision."""
+    """Format (``--to``, else by the output's name, else the input's), encoding and precision."""
     named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
     target = (settings.to or named).lower().lstrip(".")
     return target, settings.encoding, settings.precision
@@ -134,11 +134,11 @@ def make_folder_of(path: str) -> None:
 
 
 def keep_backup(task: Task, data: Buffer) -> None:
-    """Write the original beside the file that is about to be replaced."""
+    """Write the original beside the file that is replaced; OutputError if its name is taken."""
     backup = task.backup_path
     if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
         return
-    # A link could lead to the very file that is to be replaced.
+    # A link could point to the very file that is to be replaced.
     is_file = os.path.isfile(backup) and not os.path.islink(backup)
     if not is_file or gzip_streams.read_whole(backup) != data:
         raise OutputError(
@@ -150,7 +150,7 @@ def keep_backup(task: Task, data: Buffer) -> None:
 def write_output(
     path: str, data: Buffer, companions: tuple[Companion, ...] = (), sources: atomic.Sources = ()
 ) -> None:
-    """Write a file after those that hold a part of it; its folder is made if it is not there.
+    """Write a file after its ``companions``, which contain a part of it; make its folder.
 
     ``sources`` limit the permission bits, see ``atomic.write_whole``.
     """
@@ -168,7 +168,7 @@ def write_output(
 def add_noise_to_file(
     data: Buffer, name: str, target: str, noise: AddedNoise, format: str | None = None
 ) -> tuple[Output, str, tuple[str, ...]]:
-    """The output for the bytes of the input ``name``, what it is in words, and warnings.
+    """Add noise to ``data``, the bytes of the input ``name``: the output, a description, warnings.
 
     ``target`` is the output's name, which must be of the same format; ``-`` has none.
     """
@@ -200,7 +200,7 @@ def add_noise_to_file(
 
 
 def move_by_noise(surface: Surface, noise: AddedNoise) -> tuple[Floats, float]:
-    """Positions (n, 3) of a surface's vertices with noise, and its mean edge length."""
+    """Add noise to a surface: new positions (n, 3) of its vertices, and its mean edge length."""
     from msal_cli.analysis.added_noise import add_noise
 
     ready = prepare_mesh(surface)

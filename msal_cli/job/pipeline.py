@@ -1,7 +1,7 @@
 """One file from start to end: read, check, denoise, measure, verify, write, and the record.
 
-``denoise_file`` is what the batch runs for every file.  It never raises for a file's fault:
-whatever goes wrong becomes a failed record, and the output appears whole or not at all.
+``denoise_file`` is what the batch runs for every file.  It never raises for a bad file: any error
+becomes a failed record, and the output appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
 
 
-# What a record says of an output; that of a file that failed has none.
+# Fields of the record that describe an output; a failed file has none of them.
 _OF_OUTPUT = (
     *("volume", "area", "displacement", "normal_change", "flipped_faces", "seam_gap"),
     *("clamped_vertices", "locked_vertices", "despiked", "self_intersections", "fields"),
@@ -46,7 +46,7 @@ _OF_OUTPUT = (
 
 
 def start_record(name: str, settings: Settings) -> MeshRecord:
-    """The record of a file before anything is known of it; it counts as failed until it is not."""
+    """The record of a file at its start; its status is failed until the file is finished."""
     method = records.MethodUsed(settings.method, dict(settings.parameters))
     return MeshRecord(input=name, status="failed", version=__version__, method=method)
 
@@ -57,14 +57,14 @@ def denoise_file(
     on_progress: OnProgress | None = None,
     limits: Limits = NO_LIMITS,
 ) -> MeshRecord:
-    """Denoise one file and report what happened; only KeyboardInterrupt and SystemExit pass.
+    """Denoise one file and return its record; raises only KeyboardInterrupt and SystemExit.
 
-    A file beyond ``limits`` is refused before it is loaded, as far as its header shows it
+    A file whose header shows that it exceeds ``limits`` is refused before it is loaded
     (``E_MEMORY``).
     """
     run = FileRun(task.input, settings, on_progress)
     try:
-        # The mark is older than the bytes: an object that changes in between is done again.
+        # The mark is older than the bytes, so that an object that changes in between is done again.
         run.know(input_object=task.input_mark)
         with room.room_for_task(task, settings, limits):
             data = run.read(task)
@@ -75,7 +75,7 @@ def denoise_file(
 
 
 class FileRun:
-    """One file on its way: its record so far, and the seconds of its stages.
+    """The steps of one file, with its record so far and the seconds of its stages.
 
     A tile set takes its files through the same steps, but moves the vertices of all at once.
     """
@@ -99,10 +99,10 @@ class FileRun:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time until the end of this stage as its own.
+        """Count the time from the last stage to the end of this one as this one's.
 
-        What lies between two stages, imports mostly, prepares the second one: so the seconds of
-        all stages add up to the whole.
+        The time between two stages, mostly imports, counts for the second one, so that the seconds
+        of all stages add up to the total.
         """
         self._stage = name
         self._on_progress(name, 0, 1)
@@ -112,7 +112,7 @@ class FileRun:
             self._count()
 
     def _count(self) -> None:
-        """Count the time that no stage has yet as the present one's."""
+        """Add the time since the last count to the current stage."""
         now = time.perf_counter()
         self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._counted
         self._counted = now
@@ -125,10 +125,10 @@ class FileRun:
         self.know(warnings=self.record.warnings + warnings)
 
     def _close_record(self, **values: Any) -> MeshRecord:
-        """The record with these fields, all seconds until now, and the peak of memory."""
+        """The record with these fields, the seconds until now, and the peak of memory."""
         self._count()
         seconds = records.Seconds(**self._seconds, total=self._counted - self._started)
-        # Pages of files, which the system takes back when it likes, would count.
+        # With arrays in files the peak would include their pages, which the system can reclaim.
         peak = None if array_files.are_used() else machine.peak_bytes()
         self.know(seconds=seconds, peak_memory_bytes=peak, **values)
         return self.record
@@ -148,7 +148,7 @@ class FileRun:
     # The way of a file
 
     def read(self, task: Task) -> Buffer:
-        """The bytes of the input, unless its header shows that it is no mesh."""
+        """The bytes of the input; an error if its header shows that it is no mesh."""
         with self.stage("read"):
             size = task.input_mark.size if task.input_mark is not None else None
             return header.read_input(task.input, self._settings.format, size)
@@ -169,7 +169,7 @@ class FileRun:
                 name, format = self.record.input, self._settings.format
                 mesh_file, is_compressed = room.open_mesh(data, name, format)
             finally:
-                # A file that cannot be read is known by its hash, too.
+                # A file that cannot be read has its hash in the record, too.
                 self.know(input_sha256=digest())
             self.know(**changes.file_fields(mesh_file))
             self.warn(*mesh_file.warnings)
@@ -184,7 +184,7 @@ class FileRun:
     def build(
         self, mesh_file: MeshFile, vertices: Floats, output_path: str | None, source: output.Source
     ) -> output.Output:
-        """The output file with new positions (n, 3)."""
+        """Build the output file with new positions (n, 3)."""
         with self.stage("write"):
             made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
             self.warn(*made.losses)
@@ -199,14 +199,14 @@ class FileRun:
         return made
 
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
-        """Write the output and what belongs to it; ``data`` are the bytes of the input."""
+        """Write the output and the files beside it; ``data`` are the bytes of the input."""
         with self.stage("write"):
             array_files.release_kept()
             if task.in_place and task.backup:
                 output.keep_backup(task, data)
             output.make_folder_of(task.output)
             sources = [task.input, *made.sources]
-            # Before the output: as soon as that exists, all that belongs to it does.
+            # These come before the output: once that exists, all that belongs to it exists.
             if self._fields_file is not None:
                 from msal_cli.job import fields
 
@@ -228,7 +228,7 @@ class FileRun:
         return self.finish(task.output, sidecars=notes)
 
     def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:
-        """The mesh of a file, fit for computing, and its defects in the record."""
+        """The mesh of a file, fit for computing; adds its defects to the record."""
         ready = room.prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
         if n_edges := ready.defects.inconsistent_edges:
@@ -247,9 +247,9 @@ class FileRun:
     ) -> Floats:
         """The new positions of a file's vertices (n, 3), of which those ``pinned`` (n,) stay.
 
-        They are, and are measured, as the output holds them, which ``store`` says of positions
-        (n, 3); None for the number type of the input.  Its arrays are freed before the output is
-        built, which takes as much memory again.
+        They are returned, and measured, as the output stores them: ``store`` rounds positions
+        (n, 3); None rounds to the number type of the input.  All arrays of this step are freed
+        before the output is built, which takes as much memory again.
         """
         from msal_cli.analysis.noise_estimate import estimate_noise
 
@@ -265,7 +265,7 @@ class FileRun:
                     self.know(locked_vertices=int(constraints.held.sum()))
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
-        # Where the same is run on every mesh, choosing takes no time.
+        # Without a look at the mesh, choosing takes no time.
         with self.stage("choose") if choice.looks_at_mesh(settings) else nullcontext():
             chosen = first = choice.prepare(
                 mesh, settings, functools.partial(self._on_progress, "choose")
@@ -274,17 +274,17 @@ class FileRun:
         self.warn(*chosen.warnings)
         choice_made = self.record.choice
         estimate = functools.partial(estimate_noise, chosen.mesh)
-        # A choice knows it; else one core estimates it while the others smooth.
-        is_beside = (
+        # A choice has estimated the noise; else one core does it while the others smooth.
+        in_background = (
             choice_made is None and is_worth_it(len(mesh.vertices)) and not array_files.are_used()
         )
-        wait_for_noise = machine.in_background(estimate) if is_beside else estimate
+        wait_for_noise = machine.in_background(estimate) if in_background else estimate
         milder = iter(choice.MILDER)
         while True:
             result, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
                 wait_for_noise()
-                # Only what is measured is in memory from here on.
+                # The measures do not need them, and they take memory.
                 chosen.mesh.release_normals()
                 limit = None if constraints is None else constraints.limit
                 vertices, moved = _store_positions(
@@ -292,7 +292,7 @@ class FileRun:
                 )
                 whole, start = None, chosen.mesh.vertices
                 if chosen.share < 1.0:
-                    # A part of a result is taken only where all of it would be.
+                    # A part of the displacement is accepted only if all of it would be.
                     whole = start + (result - start) / chosen.share
                 del result
                 measured = changes.measure(ready, moved, chosen.mesh, is_named=choice_made is None)
@@ -333,8 +333,8 @@ class FileRun:
     def _run_method(
         self, chosen: choice.Preparation, ready: PreparedMesh, constraints: Constraints | None
     ) -> tuple[Floats, Floats | None, bool]:
-        """New positions (n, 3), lambda of the first sweep (n,) where fields need it, and whether
-        one spike rules it."""
+        """Run the method: new positions (n, 3), lambda of the first sweep (n,) where fields need
+        it, and whether one spike rules it."""
         settings = self._settings
         fidelity, is_ruled = None, False
         moved, normals_s = chosen.mesh.vertices, 0.0
@@ -353,7 +353,7 @@ class FileRun:
                 moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
                 fidelity = result.fields.get("fidelity")
                 is_ruled = settings.method not in CHOOSING and changes.is_ruled_by_spike(fidelity)
-                # Other arrays, which nothing needs here, are freed.
+                # Free its other arrays.
                 del result
             if constraints is not None:
                 moved, n_clamped = constraints.apply(moved)
@@ -382,7 +382,7 @@ class FileRun:
 
 
 _SHARES = (0.999, 0.9, 0.75, 0.5, 0.25, 0.0)
-"""Parts of its way that are tried for a vertex that rounding takes beyond a limit."""
+"""Parts of its displacement that are tried for a vertex that rounding moves beyond a limit."""
 
 
 def _store_positions(
@@ -392,8 +392,8 @@ def _store_positions(
     store: Callable[[Floats], Floats],
     limit: float | None,
 ) -> tuple[Floats, Floats]:
-    """File positions (n_file, 3) for a method's result (n, 3) as ``store`` rounds them, and those
-    of the mesh (n, 3) that follow; vertices within ``limit`` stay there."""
+    """File positions (n_file, 3) for a method's result (n, 3), rounded by ``store``, and the mesh's
+    positions (n, 3) after that; vertices within ``limit`` stay within it."""
     from msal_cli.analysis.measures import at_other_positions
 
     start, wanted = ready.mesh.vertices, result

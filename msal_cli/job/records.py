@@ -1,11 +1,11 @@
-"""What is known of a file after msal has dealt with it: denoised, inspected or compared; and of a
-run over many.
+"""Records: what is known of a file after msal has denoised, inspected or compared it, and of a run
+over many files.
 
 A record is made by ``pipeline`` (or, for a file whose worker died, by ``batch``) and only read
 afterwards: every report is a reader of records.  Fields may be added; none is ever removed or
 given another meaning while the schema is ``msal.report/1``.  The metadata of the fields describe
-them in the JSON Schemas (docs/make_schemas.py).  ``as_data`` and ``from_data`` are the way of a
-record to plain data, as in JSON, and back.
+them in the JSON Schemas (docs/make_schemas.py).  ``as_data`` converts a record to plain data, as in
+JSON, and ``from_data`` converts it back.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SCHEMA = "msal.report/1"
 Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
 DONE = ("written", "unchanged")
-"""Statuses of files that the run itself has done."""
+"""Statuses of files that the run itself has finished."""
 
 WITH_OUTPUT = (*DONE, "up-to-date")
 """Statuses of files whose output is in place."""
@@ -43,7 +43,7 @@ def about(description: str) -> dict[str, str]:
 
 
 def required(description: str) -> Any:
-    """A field that has to be given, with its description."""
+    """A field that must be given, with its description."""
     return dataclasses.field(metadata=about(description))
 
 
@@ -54,9 +54,7 @@ def known(description: str, default: Any = None) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Volume:
-    """Volume in cubed file units that a surface encloses, whichever side its normals point to;
-    ``reason`` says why it is not ``valid`` (open, ...), and then it has no figures.
-    """
+    """Volume in cubed file units that a surface encloses, whichever side its normals point to."""
 
     before: float | None = required("enclosed volume before, cubed file units; null if not valid")
     after: float | None = required("the same after; negative if the surface passed through itself")
@@ -82,8 +80,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceDistance:
-    """Distances from the vertices of one mesh to the surface of another, in file units and in
-    mean edge lengths of the mesh before."""
+    """Distances from the vertices of one mesh to the surface of another."""
 
     mean: float = required("mean distance, file units")
     rms: float = required("root mean square distance, file units")
@@ -121,7 +118,7 @@ class NoiseReading:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Estimated standard deviation of the noise along its direction, and what is behind it."""
+    """Estimated standard deviation of the noise along its direction, and its evidence."""
 
     mean_edges: float = required("standard deviation along its direction, mean edge lengths")
     file_units: float = required("the same in file units")
@@ -169,7 +166,7 @@ class MethodUsed:
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """What was nearly chosen by --auto, and its estimated error."""
+    """A method that --auto nearly chose, and its estimated error."""
 
     label: str = required("method and parameters in words")
     risk_edges: float = required("estimated error of its result, mean edge lengths")
@@ -228,7 +225,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class GateResult:
-    """What became of one gate (--fail-on) for one file."""
+    """The result of one gate (--fail-on) for one file."""
 
     expression: str = required("what breaks the gate, as it was given")
     broken: bool = required("true if it is so for this file, or cannot be decided")
@@ -239,8 +236,7 @@ class GateResult:
 
 @dataclass(frozen=True, slots=True)
 class SelfIntersections:
-    """Pairs of faces that intersect each other before and after, and how many of those after did
-    not before; that is None where the faces are not the same."""
+    """Pairs of faces that intersect each other before and after."""
 
     before: int = required("pairs of faces that intersect before")
     after: int = required("pairs of faces that intersect after")
@@ -255,8 +251,7 @@ _MEAN_ANGLE = (
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """An output against its reference, the true mesh at ``path``: the figures of a
-    ``ComparisonRecord`` whose ``before`` is the reference."""
+    """The figures of a ComparisonRecord of an output and its reference, the true mesh."""
 
     path: str = required("path of the reference")
     correspondence: Literal["vertices", "surface"] | None = known("as in a ComparisonRecord")
@@ -276,8 +271,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class FieldsFile:
-    """The PLY with fields beside an output: their names, and which one its colours show, by which
-    map, from ``low`` to ``high``."""
+    """The PLY beside an output with fields as properties, and the one that its colours show."""
 
     path: str = required("where it is")
     names: tuple[str, ...] = required("the fields, which are properties of its vertices")
@@ -290,7 +284,7 @@ class FieldsFile:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What a file will take, by its header and its size; null where these do not show it."""
+    """Forecast for a file by its header and its size; null where these do not show it."""
 
     bytes: int | None = known("bytes of the input")
     vertices: int | None = known("vertices, of a text about")
@@ -301,8 +295,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class TileSetPart:
-    """What a file is within the tile set that was denoised as one mesh; border vertices at one
-    place of the file count once."""
+    """What a file shares with others of its tile set; border vertices at one place count once."""
 
     files: int = required("files of the set that could be read")
     neighbours: tuple[str, ...] = required("relative paths of files that share border vertices")
@@ -432,9 +425,9 @@ class InfoRecord:
 
 @dataclass(frozen=True)
 class ComparisonRecord:
-    """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
-    the unit, its volume, area and normals are what changed.
+    """A mesh ``after`` compared with ``before``, the reference.
 
+    Figures in mean edge lengths refer to ``before``, changes of volume, area and normals, too.
     Where the files have other faces, what needs corresponding vertices is None.
     """
 
@@ -483,7 +476,7 @@ class ComparisonRecord:
 
 @dataclass(frozen=True)
 class Run:
-    """One call of the program; times are to the millisecond."""
+    """One run of the program; times are to the millisecond."""
 
     version: str = required("version of msal")
     command: tuple[str, ...] = required("the command as it was given, program name first")
@@ -503,10 +496,10 @@ class Run:
 # Records as plain data: dicts, lists, texts, numbers
 
 _MAX_SHARED = 24
-"""Characters of the longest text that records share: formats and versions repeat in thousands."""
+"""Characters up to which texts are shared: formats and versions repeat in thousands of records."""
 
 _PLAIN = frozenset({str, int, float, bool, type(None)})
-"""What a record is made of in the end, and what needs no copy."""
+"""Types of values that ``as_data`` need not copy."""
 
 Reader = Callable[[Any], Any]
 
@@ -528,8 +521,8 @@ def as_data(record: Any) -> Any:
 
 
 def value_at(record: Any, path: str) -> Any:
-    """The value of a field by its dotted path, such as ``volume.change_percent``; None where a
-    part on the way is None."""
+    """The value of a field by its dotted path, such as ``volume.change_percent``; None if a part
+    of the path is None."""
     for name in path.split("."):
         if record is None:
             return None
@@ -538,7 +531,7 @@ def value_at(record: Any, path: str) -> Any:
 
 
 def from_data(kind: type[Any], data: Any) -> Any:
-    """The record that ``as_data`` made ``data`` from; unknown fields are dropped.
+    """Rebuild the record from which ``as_data`` made ``data``; unknown fields are dropped.
 
     Raises TypeError if a field is missing, or has a value of another type.
     """
@@ -556,14 +549,14 @@ def from_data(kind: type[Any], data: Any) -> Any:
 
 @functools.cache
 def _field_readers(kind: Hashable) -> tuple[tuple[str, Reader], ...]:
-    # Half a millisecond a call, and a manifest of 10,000 files makes 10,000.
+    # Cached: it takes half a millisecond, and a manifest of 10,000 files calls it 10,000 times.
     hints = typing.get_type_hints(kind)
     fields = dataclasses.fields(typing.cast("type[Any]", kind))
     return tuple((field.name, _build_reader(hints[field.name])) for field in fields)
 
 
 def _build_reader(hint: Any) -> Reader:
-    """The function that gives a value of plain data back the type of its field."""
+    """The function that reads plain data as a value of this type."""
     inner = typing.get_args(hint)
     origin = typing.get_origin(hint)
     if hint is Any:

@@ -1,7 +1,7 @@
 """Open a mesh file, with room for it: memory, else files of a scratch folder, or a refusal.
 
-Whatever loads a mesh calls this module first.  In files, large arrays are the same arrays, and the
-system moves their pages in and out of memory (``kernels.array_files``).
+Everything that loads a mesh calls this module first.  Arrays in files are ordinary arrays whose
+pages the system moves in and out of memory (``kernels.array_files``).
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ log = logging.getLogger("msal")
 _DENOISING = "denoising this file"
 
 LARGE_BYTES = 4 << 20
-"""Files from this size on are looked into; smaller ones fit."""
+"""Files of this size and more have their headers read; smaller ones always fit."""
 
 _KEPT_SHARE = 0.04
-"""Of what a mesh takes in memory, the most that stays there when its arrays are in files."""
+"""The part of a mesh's memory that stays in memory, at most, when its arrays are in files."""
 
-# Arrays stay in memory that are smaller than that, and than this part of a mesh.
+# Arrays stay in memory if they are smaller than this, and than one part in so many of a mesh.
 _MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 
-# What is mapped at once of small meshes and of others.
+# Memory for mapped pages: this part of a small mesh, this many bytes of others.
 _MAPPED_OF_SMALL, _MAPPED_BYTES = 0.3, 32_000_000
 
 
 @dataclass(frozen=True)
 class Scratch:
-    """The folder in whose files the arrays of a mesh will live, the bytes that they take there at
-    most, and the bytes of memory that there are."""
+    """The folder for files of arrays, the most bytes that these take there, and the bytes of
+    memory that are available."""
 
     folder: str
     n_bytes: int
@@ -69,8 +69,8 @@ class Scratch:
 
 
 def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
-    """Room for one file to be denoised; errors as of ``find_scratch``."""
-    # Of a file that cannot be looked at the reader says why.
+    """A context with room to denoise one file; raises as ``find_scratch`` does."""
+    # A file that cannot be read counts as small: its reader reports the error.
     if limits.memory_bytes is None and (input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
     needed = forecast(task, settings).memory_bytes or 0
@@ -83,9 +83,9 @@ def room_for_files(
     output: str | None = None,
     settings: Settings | None = None,
 ) -> AbstractContextManager[None]:
-    """Room for files that are read together; errors as of ``find_scratch``.
+    """A context with room for files that are read together; raises as ``find_scratch`` does.
 
-    ``settings``: those by which the first of them is denoised, too.
+    ``settings`` are those by which the first file is denoised, if it is.
     """
     needs = [header.forecast(path, format=format).memory_bytes or BASE_BYTES for path in paths]
     words = "opening this file" if len(paths) == 1 else "opening these files"
@@ -100,9 +100,9 @@ def room_for_files(
 def find_scratch(
     work: str, needed: int, limits: Limits = NO_LIMITS, output: str | None = None
 ) -> Scratch | None:
-    """Where arrays have to live if some work needs so many bytes of memory; None where they fit.
+    """Where arrays must live for work that needs so many bytes of memory; None if they fit.
 
-    A limit set by the user replaces what the machine has left.
+    A limit set by the user replaces the memory that the machine has left.
 
     Raises ResourceError (``E_MEMORY`` with ``where`` ``FORECAST``) if they fit nowhere, and
     OutputError if the folder has no space for them.
@@ -114,13 +114,13 @@ def find_scratch(
     n_bytes = max(0, needed - BASE_BYTES)
 
     kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, _MAPPED_BYTES))
-    least = needed - n_bytes + kept if array_files.can_use_files() else needed
-    if least > room:
+    minimum = needed - n_bytes + kept if array_files.can_use_files() else needed
+    if minimum > room:
         has = f"this machine has {megabytes(room, rounded_up=False)} left"
         hint = "use a machine with more memory, or cut the mesh into parts"
         if limit is not None:
             has = f"the limit is {megabytes(room)}"
-            hint = f"raise --memory-limit to {megabytes(int(least))}, or cut the mesh into parts"
+            hint = f"raise --memory-limit to {megabytes(int(minimum))}, or cut the mesh into parts"
         raise ResourceError(
             f"{work} takes up to {megabytes(needed)}, and {has}",
             code="E_MEMORY",
@@ -137,7 +137,7 @@ def find_scratch(
             hint="name a folder on a disk by --scratch",
         )
     free = n_bytes
-    with suppress(OSError):  # using the folder says why not
+    with suppress(OSError):  # using the folder reports the error
         import shutil
 
         free = shutil.disk_usage(folder).free
@@ -152,9 +152,9 @@ def find_scratch(
 
 @contextmanager
 def use_scratch(scratch: Scratch | None) -> Iterator[None]:
-    """Have large arrays live in files; nothing where they fit into memory.
+    """Within the block, keep large arrays in files of ``scratch``; None keeps them in memory.
 
-    Raises OutputError where the folder cannot be used, or its disk is full.
+    Raises OutputError if the folder cannot be used, or its disk is full.
     """
     if scratch is None:
         with array_files.kept_memory():
@@ -178,7 +178,7 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
 
 
 def _folder_of(output: str | None) -> str:
-    """The folder of an output, or the next above that is there; else that for temporary files."""
+    """The folder of an output, or the nearest one above it; else that of temporary files."""
     if output is None or is_url(output):
         import tempfile
 
@@ -190,15 +190,15 @@ def _folder_of(output: str | None) -> str:
 
 
 def _is_in_memory(folder: str) -> bool:
-    """Whether a folder's files are memory themselves, as far as Linux says."""
+    """Whether the files of a folder are in memory themselves (tmpfs, ramfs), as Linux reports."""
     try:
         device = os.stat(folder).st_dev
         lines = Path("/proc/self/mountinfo").read_text(errors="replace").splitlines()
     except OSError:
         return False
     name = f"{os.major(device)}:{os.minor(device)}"
-    kinds = {line.partition(" - ")[2].split()[0] for line in lines if line.split()[2] == name}
-    return bool(kinds & {"tmpfs", "ramfs"})
+    types = {line.partition(" - ")[2].split()[0] for line in lines if line.split()[2] == name}
+    return bool(types & {"tmpfs", "ramfs"})
 
 
 # Opening a file
@@ -212,7 +212,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
 
 
 def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
-    """The mesh of a surface, fit for computing; else ContentError, with the path ``name``."""
+    """Prepare a surface for computing; ContentError, with the path ``name``, if it is no mesh."""
     from msal_cli import mesh
 
     are_distinct = surface.merged_vertices > 0
@@ -224,7 +224,7 @@ def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
 
 
 def to_known_error(error: Exception, name: str) -> MsalError:
-    """What a record says of any error; a defect of msal is logged with its traceback."""
+    """Convert any error to one for a record; a defect of msal is logged with its traceback."""
     if machine.is_out_of_memory(error):
         return ResourceError(
             error.message if isinstance(error, MsalError) else "not enough memory",
@@ -240,26 +240,26 @@ def to_known_error(error: Exception, name: str) -> MsalError:
     )
 
 
-# What a file will take, and whether it will fail, before it is denoised.  Seconds are those of one
-# core of a machine like that of docs/performance.md, with nothing else to do.  They were fitted to
-# the sample meshes and to benchmarks/auto_seconds.py.
+# Forecasts of the time and memory of a file, and whether it will fail.  Seconds are those of one
+# idle core of a machine like that of docs/performance.md.  They were fitted to the sample meshes
+# and to benchmarks/auto_seconds.py.
 
 _SECONDS = {ADAPTIVE: (0.17, 1.6), AUTO: auto.SECONDS, "al": (0.05, 1.08), "msal": (0.05, 1.04)}
 """Seconds for any mesh, and per million vertices, from reading to writing."""
 
 _IN_FILES_S_PER_MILLION = 1.0
-"""What the disk adds where arrays are in files: about 2 kB are read for each vertex."""
+"""Seconds that the disk adds if arrays are in files: about 2 kB are read for each vertex."""
 
 _BYTES_PER_VERTEX = 75
-"""Of a text with twice as many triangles as vertices, and no more than positions."""
+"""For a text with twice as many triangles as vertices, and only positions."""
 
 _PACKED = 3
-"""How often larger a text is than when it is compressed."""
+"""Compression ratio of a text."""
 
 
 def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) -> MeshRecord:
-    """A record of a file that is planned, with its size and the seconds that it will take where AL
-    and MSAL or a choice do it; failed where its size and its first 64 KB show that it will fail."""
+    """Add a forecast to the record of a planned file: its size, and seconds if AL, MSAL or a choice
+    does it.  The file has failed if its size and its first 64 KB show that it will."""
     expected = forecast(task, settings)
     size = input_bytes(task)
     n = expected.vertices
@@ -287,7 +287,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
 
 
 def input_bytes(task: Task) -> int | None:
-    """The size of an input, by the listing of a store or the system; None where it is gone."""
+    """The size of an input in bytes, from the listing of a store or the system; None if unknown."""
     try:
         return task.input_mark.size if task.input_mark else os.stat(task.input).st_size
     except (OSError, ValueError):
@@ -295,14 +295,14 @@ def input_bytes(task: Task) -> int | None:
 
 
 def _check_header(path: str, format: str | None) -> int | None:
-    """Raise what the reader of a local file would, as far as it is known without all of it; a file
-    as small as a header is read as a whole, and its vertices are returned."""
+    """Raise what the reader of a local file would, as far as its beginning shows it; a file as
+    small as a header is read as a whole, and the number of its vertices returned."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
             header.check_beginning(file, size, path, format)
     except (OSError, ValueError):
-        size = 0  # reading it says why
+        size = 0  # reading it reports the error
     if size > LOOKED_AT:
         return None
     return len(open_mesh(header.read_input(path, format), path, format)[0].vertices)

@@ -1,4 +1,4 @@
-"""Settings and limits of one file, what users may write for them, and what is known before it is
+"""Settings and limits of one file, how users write them, and what is known of a file before it is
 read: names and forecasts."""
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ NoiseKind = Literal[
 ]  # fmt: skip
 
 AUTO, ADAPTIVE = "auto", "adaptive"
-"""In place of a method's name: each mesh gets the one that suits it, see ``auto.search``, or the
-parameters of AL and MSAL that do, see ``auto.adaptive``."""
+"""Words in place of a method's name: choose a method for each mesh (see ``auto.search``), or
+parameters of AL and MSAL (see ``auto.adaptive``)."""
 
 CHOOSING = (ADAPTIVE, AUTO)
-"""The words in place of a method for which something is chosen."""
+"""Words in place of a method's name that stand for a choice."""
 
 NEGLIGIBLE = "auto"
-"""In place of a least noise: as the estimate judges it."""
+"""In place of a length for the least noise: as the estimate judges it."""
 
 DEFAULT_BACKUP = ".orig"
-"""What is added to the name of an original that is replaced in place."""
+"""The suffix that is added to the name of an original that is replaced in place."""
 
 SELF_INTERSECTIONS = "self-intersections"
-"""What a check is called that counts pairs of faces which intersect each other."""
+"""The name of the check that counts pairs of faces which intersect each other."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything beside the input that decides the bytes of an output."""
+    """Everything besides the input that decides the bytes of an output."""
 
     # method, parameters: the method's name and all its parameters, resolved; with ``AUTO`` the
     # fields of ``auto.Wishes``, with ``ADAPTIVE`` those of them that were given
     method: str
     parameters: dict[str, Any] = field(default_factory=dict)
-    # suffix of the format to convert to, without a dot; None keeps the input's, or takes the output
-    # name's
+    # suffix of the format to convert to, without a dot; None takes that of the output's name, else
+    # the input's
     to: str | None = None
     encoding: str = "same"  # ``same``, ``ascii`` or ``binary``
     precision: str = "same"  # ``same``, ``float32`` or ``float64``
@@ -66,19 +66,19 @@ class Settings:
     lock: tuple[str, ...] = ()
     weights: str | None = None
     fields: tuple[str, ...] = ()  # what is written beside the output, see ``fields``
-    # below which noise a mesh stays as it is: a length as of ``constraints``, or ``NEGLIGIBLE`` for
-    # "no noise to speak of"
+    # a mesh with less noise than this stays as it is: a length as of ``constraints``, or
+    # ``NEGLIGIBLE`` for "no noise to speak of"
     min_noise: str | None = None
-    checks: tuple[str, ...] = ()  # what is counted beside what always is: ``SELF_INTERSECTIONS``
+    checks: tuple[str, ...] = ()  # what is counted in addition: ``SELF_INTERSECTIONS``
     # whether outlier vertices are brought back before the method runs, see ``outliers``; None does
     # so where a method is chosen and the outliers are clear
     despike: bool | None = None
-    tile_set: bool = False  # whether all files are denoised as the one mesh that they are together
+    tile_set: bool = False  # whether all files are denoised as one joined mesh
     unit: str | None = None  # that of the input's coordinates, one of ``METRES``
 
     @property
     def assume(self) -> str | None:
-        """What the choice assumes where it is not known what is noise and what texture."""
+        """What a choice assumes if it is not known what is noise and what is texture."""
         return self.parameters.get("assume") if self.method in CHOOSING else None
 
     @property
@@ -88,7 +88,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one file may take; None is no limit.  Limits never change the bytes of an output."""
+    """What one file may use; None is unlimited.  Limits never change the bytes of an output."""
 
     timeout_s: float | None = None  # seconds of wall time, enforced by the supervisor of the worker
     memory_bytes: int | None = None  # resident memory of the process that denoises it
@@ -105,18 +105,18 @@ _OUTLIERS_BYTES_PER_FACE = 12
 _INTERSECTIONS_BYTES_PER_FACE = 1100
 
 FORECAST = "forecast"
-"""The ``where`` of an ``E_MEMORY`` that was forecast: trying again would not help."""
+"""The ``where`` of an ``E_MEMORY`` by forecast: trying again would not help."""
 
 
 @dataclass(frozen=True)
 class Task:
     """One file to denoise; paths are text as ``os.fsdecode`` gives it, or URLs.
 
-    ``relative`` is the name by which reports and the manifest know the file.  With ``in_place``
-    the output is the input, and ``backup``, a suffix, keeps the original beside it.  An input in a
-    store has the mark that it had when it was found.  ``manifest_dir`` is the folder whose manifest
-    notes the file: the output folder or, in place, the folder that was searched or holds the file;
-    None where there is none (one file into one file).
+    ``relative`` is the name of the file in reports and the manifest.  With ``in_place`` the output
+    is the input, and ``backup``, a suffix, keeps the original beside it.  An input in a store has
+    the mark that it had when it was found.  ``manifest_dir`` is the folder whose manifest records
+    the file: the output folder or, in place, the folder that was searched or contains the file;
+    None if there is none (one file into one file).
     """
 
     input: str
@@ -126,7 +126,7 @@ class Task:
     backup: str | None = None
     input_mark: ObjectMark | None = None
     manifest_dir: str | None = None
-    force: bool = False  # materials that an earlier output has beside it are replaced, too
+    force: bool = False  # replace even materials that an earlier output has beside it
 
     @property
     def backup_path(self) -> str:
@@ -166,7 +166,7 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
-"""What a user may write between a quantity and a length or number."""
+"""Comparisons that a user may write between a quantity and a length or number."""
 
 
 def in_file_units(number: str, unit: str, file_unit: str | None, label: str = "") -> float:
@@ -174,10 +174,10 @@ def in_file_units(number: str, unit: str, file_unit: str | None, label: str = ""
 
     Parameters
     ----------
-    number : the length as it was written, so that 0.1 is a tenth and not the double next to it.
+    number : the length as text, so that 0.1 is a tenth and not the double next to it.
     unit : its unit, as in ``UNIT_PATTERN``.
     file_unit : the unit of the file's coordinates, one of ``METRES``.
-    label : what a message begins with.
+    label : the beginning of a message.
 
     Raises UsageError if the file's unit is not known, or the length is too long for a double.
     """
@@ -191,7 +191,7 @@ def in_file_units(number: str, unit: str, file_unit: str | None, label: str = ""
     from fractions import Fraction
 
     if not float(number):
-        # An exponent of a billion would be a fraction of as many digits.
+        # ``0e1000000000`` would become a fraction with a billion digits.
         return 0.0
     own, other = METRES["um" if unit in _MICRO else unit], METRES[file_unit]
     try:
@@ -236,8 +236,8 @@ class Lock:
 
 
 def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
-    """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
-    the option, for anything else."""
+    """Parse ``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which
+    names the option, for anything else."""
     match = _LENGTH.fullmatch(text)
     value = float(match[1]) if match else 0.0
     if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
@@ -252,8 +252,8 @@ def parse_length(text: str, option: str = "--max-move", unit: str | None = None)
 
 
 def parse_lock(text: str, option: str = "--lock", unit: str | None = None) -> Lock | None:
-    """``confidence < 0.2``, or ``z < 5mm`` where the files' ``unit`` is known; None for the word
-    ``boundary``; UsageError, which names the option, for anything else."""
+    """Parse ``confidence < 0.2``, or ``z < 5mm`` where the files' ``unit`` is known; None for the
+    word ``boundary``; UsageError, which names the option, for anything else."""
     if text.strip() == BOUNDARY:
         return None
     match = _LOCK.fullmatch(text)
@@ -271,7 +271,7 @@ def parse_lock(text: str, option: str = "--lock", unit: str | None = None) -> Lo
 
 
 Check = Callable[[Any, str, str | None], Any]
-"""Gives the setting for a value; gets the label for messages and the unit of the files, too."""
+"""Takes a value, its label for messages and the unit of the files; returns the setting."""
 
 Assignment = tuple[str, str, Any]
 """The label of a method's parameter for messages, its name or symbol, and its value."""
@@ -346,14 +346,14 @@ _CHECKS: dict[str, Check | None] = {
     "tile_set": None,
     "unit": None,
 }
-"""What a user may give beside a method and its parameters, by the names of the Python API, and what
-a value must be, if it is not any."""
+"""The options besides a method and its parameters, by their names in the Python API, each with the
+check of its value; None accepts any value."""
 
 _WISHES = ("prefer", "keep", "strength", "assume")
 
 
 def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
-    """The settings for the options of a command, or the arguments of a function of the API.
+    """Parse the options of a command, or the arguments of a function of the API.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     if "weights" in values and method not in CHOOSING:
         from msal_cli import methods
 
-        # Trust means nothing where nothing pulls a vertex back to where it was scanned.
+        # Trust has no effect without a pull back to the scanned positions.
         if not methods.find(method).has_data_term(parameters):
             raise UsageError(
                 f"{label('weights')}: a pull to the scanned positions is needed, and {method} has "
@@ -395,7 +395,7 @@ def _choose_method(
     wishes: Mapping[str, Any],
     label: Callable[[str], str],
 ) -> tuple[str, dict[str, Any]]:
-    """The method's name and all its parameters; for ``CHOOSING`` the wishes."""
+    """A method's name and all its parameters, or one of ``CHOOSING`` and the wishes."""
     is_adaptive = method == ADAPTIVE or (method is None and not assignments)
     needs_all = "prefer" in wishes or wishes.get("keep") in ("edges", "shape")
     if method == AUTO or (method is None and needs_all):
@@ -428,7 +428,7 @@ def _choose_method(
 
 
 def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dict[str, Any]:
-    """Every parameter of ``method``, with those that the user gave in their place.
+    """All parameters of ``method``: the values that the user gave, and defaults for the rest.
 
     Raises UsageError for an unknown name, a value that is not allowed, or one parameter with two
     values.
@@ -448,7 +448,7 @@ def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dic
 
 
 def parse_format(text: str, label: str, known: Sequence[str]) -> str:
-    """A format in the spelling of those ``known``, a leading dot aside; else UsageError."""
+    """A format as ``known`` spells it, without a leading dot; UsageError if it is none of them."""
     plain = str(text).lower().lstrip(".")
     if plain in known:
         return plain
@@ -467,8 +467,8 @@ def to_number(value: Any, label: str) -> float:
 
 def to_texts(texts: Any) -> tuple[str, ...]:
     """One text or several as a tuple; UsageError for anything else."""
-    is_one = isinstance(texts, str) or not isinstance(texts, Iterable)
-    listed = (texts,) if is_one else tuple(texts)
+    is_single = isinstance(texts, str) or not isinstance(texts, Iterable)
+    listed = (texts,) if is_single else tuple(texts)
     for text in listed:
         if not isinstance(text, str):
             raise UsageError(f"{text!r} is not a text")
@@ -479,14 +479,14 @@ def to_texts(texts: Any) -> tuple[str, ...]:
 
 
 def is_mesh_name(name: str) -> bool:
-    """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
+    """Whether the suffix, without a final ``.gz``, is that of a format that can be read."""
     from msal_cli.codecs.detection import READABLE
 
     return suffix(name)[1:] in READABLE
 
 
 def writable_formats() -> tuple[str, ...]:
-    """The words that ``--to`` takes."""
+    """The formats that ``--to`` accepts."""
     from msal_cli.codecs.conversion import WRITABLE
 
     return WRITABLE
@@ -502,13 +502,13 @@ def output_name(name: str, to: str | None) -> str:
 
 
 def suffix(name: str) -> str:
-    """The last suffix in lower case with its dot, a final ``.gz`` aside; empty if none."""
+    """The last suffix in lower case with its dot, without a final ``.gz``; empty if none."""
     base = os.path.basename(name).lower()
     return os.path.splitext(base.removesuffix(".gz"))[1]
 
 
 def refuse_unknown_format(output: str) -> None:
-    """Refuse a file to write whose suffix is that of no format; UsageError lists those that are.
+    """Raise UsageError for an output file whose suffix is that of no format that can be written.
 
     A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
     """
@@ -529,7 +529,7 @@ def refuse_unknown_format(output: str) -> None:
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:
-    """What a file will need, by its size and its first bytes; it never raises for a file."""
+    """Forecast what a file needs, by its size and its first bytes; never raises for a bad file."""
     from msal_cli.codecs import header
 
     named = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
@@ -552,7 +552,7 @@ def forecast(task: Task, settings: Settings) -> Forecast:
 
 
 def method_bytes_per_face(settings: Settings) -> int:
-    """Memory per triangle that the method needs beyond what all do; 0 if there is no such."""
+    """Bytes of memory per triangle that the settings need beyond those of any method."""
     from msal_cli import auto, methods
 
     extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
