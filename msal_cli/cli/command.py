@@ -1,10 +1,10 @@
-"""Commands whose help shows their options in groups, those that most people need or all, and that
-take options from a file, too.
+"""Commands whose help shows options in groups, the common ones or all, and which also take options
+from a file.
 
-The groups are data: help, the man pages, the reference and shell completion read the same.
+The groups are data: help, man pages, the reference and shell completion are made from the same.
 
-``msal.toml`` gives what the command line may give, and no more: options by their long names without
-the dashes, in tables that are named as the commands.  The command line wins.
+``msal.toml`` can give what the command line can give, and no more: options by their long names
+without the dashes, in tables named like the commands.  The command line wins.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 _MAX_NAME_WIDTH = 26
-# Of what a command does, in the short help.
+# Paragraphs of the docstring that the short help shows.
 _PARAGRAPHS = 2
-# Longer ones are left to --help-all.
+# Longer defaults are shown only by --help-all.
 _MAX_DEFAULT_LENGTH = 20
 
 
@@ -46,7 +46,7 @@ more:
     config={"type": None, "expose_value": False},
     no_config={"expose_value": False},
 )
-"""The options of every command that may be configured."""
+"""The options of every configurable command."""
 
 
 class Request(SimpleNamespace):
@@ -95,7 +95,7 @@ class Command(click.Command):
         )
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command with its ``Request``, as much of the log shown as it asks for."""
+        """Run the command with its ``Request`` and the log level that the options ask for."""
         assert self.callback is not None
         verbosity = -1 if ctx.params.get("quiet") else ctx.params.get("verbose", 0)
         with console.log_to_console(verbosity):
@@ -109,12 +109,12 @@ class Command(click.Command):
         """Parse the command line, with values of a configuration file where it gives none."""
         if ctx.resilient_parsing or not self.configurable:
             return super().parse_args(ctx, args)
-        # Click leaves out the command where an option has no value.
+        # Click does not name the command where an option has no value.
         with augment_usage_errors(ctx):
             rest = _parse_with_file(ctx, args, super().parse_args)
         for parameter in self.params:
             value = ctx.params.get(str(parameter.name))
-            # As of a variable of the shell that is not set; -o '' would be the current folder.
+            # Such as a shell variable that is not set; -o '' would be the current folder.
             if value == "" or (isinstance(value, tuple) and "" in value):
                 raise click.BadParameter("it is empty", ctx, parameter)
         return rest
@@ -131,7 +131,7 @@ class Command(click.Command):
     def grouped_options(
         self, ctx: click.Context, *, everything: bool = True
     ) -> Iterator[tuple[str, list[click.Option]]]:
-        """The title and the options of each group, or only those that most people need."""
+        """The title and the options of each group; without ``everything`` only the common ones."""
         for title, common, more in self.groups:
             options = [*common, *more] if everything else [*common]
             if title == MESSAGES:
@@ -143,7 +143,7 @@ class Command(click.Command):
                 yield title, options
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """What the command does; without ``--help-all`` two paragraphs of it."""
+        """The description of the command; two paragraphs of it without ``--help-all``."""
         text = self.help
         if not ctx.meta.get(_META):
             self.help = "\n\n".join(str(text).split("\n\n")[:_PARAGRAPHS])
@@ -153,7 +153,7 @@ class Command(click.Command):
             self.help = text
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The groups: of common options the first clause, with ``--help-all`` all there is."""
+        """The groups: common options with their first clause, or all in full (``--help-all``)."""
         everything = bool(ctx.meta.get(_META))
         sections = [
             (title, [option.get_help_record(ctx) or ("", "") for option in options])
@@ -163,7 +163,7 @@ class Command(click.Command):
         width = max(n for n in widths if n <= _MAX_NAME_WIDTH)
         for title, rows in sections:
             with formatter.section(title):
-                # As wide as in the other groups.
+                # All groups have columns of the same width.
                 formatter.write_dl(
                     [
                         (name.ljust(width), text if everything else first_clause(text))
@@ -178,11 +178,11 @@ class Command(click.Command):
             formatter.write_text(f"{more}: {ctx.command_path} --help-all")
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """What a shell may complete; of an option's help the first clause."""
-        found = super().shell_complete(ctx, incomplete)
-        for item in found:
+        """Completions for a shell, with the first clause of an option's help."""
+        items = super().shell_complete(ctx, incomplete)
+        for item in items:
             item.help = first_clause(item.help) if item.help else item.help
-        return found
+        return items
 
 
 _META = "msal_cli.help_all"
@@ -208,7 +208,7 @@ def first_clause(text: str) -> str:
 def grouped_command(
     name: str, *groups: OptionGroup, **settings: Any
 ) -> Callable[[Callable[[Request], int]], Command]:
-    """Make a command of a function, whose docstring is the help; ``settings`` as of ``Command``."""
+    """Make a command of a function; its docstring is the help, ``settings`` are of ``Command``."""
     return lambda function: Command(function, name, groups, **settings)
 
 
@@ -242,12 +242,12 @@ _FILE_NAME = "msal.toml"
 _ROOT_MARKS = (".git", ".hg")
 _NEVER = ("config", "no_config")
 
-# A file that lies in a folder of scans from elsewhere must not replace the originals or other
-# files, nor have another machine take part: this it may only when it is named.
+# A file found in a folder of scans from elsewhere must not replace originals or other files, nor
+# involve another machine: only a file that is named may do so.
 _ONLY_NAMED = (
     *("in_place", "no_backup", "force", "engine", "scheduler", "scratch", "heatmap", "outputs"),
 )
-# Pictures, which are replaced.
+# Pictures, which replace earlier ones.
 _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))
 
 _MAX_BYTES = 1_000_000
@@ -260,7 +260,7 @@ def _find_file() -> str | None:
     here = Path(os.path.realpath(os.curdir))
     folders = [here, *here.parents]
     are_roots = [any((folder / mark).exists() for mark in _ROOT_MARKS) for folder in folders]
-    # Outside of a repository parents may be anyone's, such as /tmp.
+    # Outside of a repository, parents may belong to anyone, such as /tmp.
     n_parents = are_roots.index(True) if True in are_roots else 0
     for folder in folders[1 : n_parents + 1]:
         if (folder / _FILE_NAME).is_file():
@@ -269,8 +269,8 @@ def _find_file() -> str | None:
 
 
 def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, Any]:
-    """What a file that the user named, or that was found, gives for the command of ``ctx``:
-    values as a command line would have them, by the names of parameters."""
+    """The values that a file, named by the user or found, gives for the command of ``ctx``: as a
+    command line would have them, by the names of parameters."""
     root, command = ctx.find_root(), str(ctx.command.name)
     names = root.command.list_commands(root) if isinstance(root.command, click.Group) else [command]
     tables = _read_tables(path)
@@ -284,7 +284,7 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, A
                 f"{path}: there is no command for the table [{table}]",
                 hint=_closest(table, names) or "tables are named as commands: [denoise]",
             )
-    # Eager ones are --help and --help-all, whose names depend on the version of click.
+    # Leave out --help and --help-all, whose names depend on the version of click.
     keys = {
         key_of(option): option
         for option in ctx.command.get_params(ctx)
@@ -318,7 +318,7 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, A
                         "only in a file that --config names",
                         hint="give the file with --config if you trust it, or --no-config",
                     )
-            # From the current folder; URLs and - stay.
+            # Make paths relative to the current folder; URLs and - stay.
             several = [
                 word if "://" in word or word == "-" else os.path.join(below, word)
                 for word in several
@@ -358,7 +358,7 @@ def _closest(name: str, known: list[str]) -> str:
 
 
 def _to_words(option: click.Option, value: Any, place: str) -> Any:
-    """A value as a command line would give it."""
+    """Convert a value of a file to what a command line would give."""
     if option.is_flag:
         if not isinstance(value, bool):
             raise UsageError(f"{place} is {value!r}", hint="write true or false")
@@ -379,7 +379,7 @@ def _to_word(value: Any, place: str) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise UsageError(f"{place} is {value!r}", hint="write a text, a number or a list of these")
     if "\0" in str(value):
-        # TOML allows it; the system ends every word there.
+        # TOML allows NUL characters; the system ends every argument there.
         raise UsageError(f"{place} is {value!r}", hint="leave the character \\u0000 out")
     return str(value)
 
@@ -390,8 +390,8 @@ _FOUND, _PATH = "msal_cli.config_was_found", "msal_cli.config_path"
 def _parse_with_file(
     ctx: click.Context, args: list[str], parse: Callable[[click.Context, list[str]], list[str]]
 ) -> list[str]:
-    """Parse ``args`` with the values of the file that they name, or that is found; a second time
-    without what contradicts the command line."""
+    """Parse ``args`` with the values of the configuration file that they name, or that is found; if
+    the command line contradicts some of these, parse again without them."""
     given, _, _ = ctx.command.make_parser(ctx).parse_args(list(args))
     help_option = ctx.command.get_help_option(ctx)
     is_help = "help_all" in given or (help_option is not None and help_option.name in given)
@@ -421,7 +421,7 @@ def _parse_with_file(
 
 
 def name_file(ctx: click.Context, error: UsageError, *, is_on_method: bool = False) -> None:
-    """Say in an error which of the options that it is about, or may be, the file gives."""
+    """Add to an error which of the options that it is about, or may be about, the file gives."""
     given = []
     for option in ctx.command.params:
         name = str(option.name)
@@ -439,6 +439,6 @@ def name_file(ctx: click.Context, error: UsageError, *, is_on_method: bool = Fal
 
 
 def is_from_found_file(ctx: click.Context, name: str) -> bool:
-    """Whether the value of a parameter is from a file that was found, and not named by --config."""
+    """Whether the value of a parameter is from a file that was found, not named by --config."""
     is_from_file = ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
     return is_from_file and bool(ctx.meta.get(_FOUND))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _NO_PARTNER = "E_NO_PARTNER"
 
 _HEAT_MAP = r"ply\r?\nformat [^\n]*\n(comment [^\n]*\n)*?comment msal [^\n]*: deviation from "
-"""How a heat map begins that an earlier call wrote."""
+"""A pattern for the beginning of a heat map that an earlier call wrote."""
 
 
 @grouped_command(
@@ -109,7 +109,7 @@ def command(request: Request) -> int:
     patterns = request.include, request.exclude
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
     is_checked = bool(request.checks) or need_intersections(gates)
-    # The heat map is made of the files that were measured, which may come from afar.
+    # The heat map is made of the files that were measured; a second download would take long.
     open_file = request.open_file = open_mesh_file if heatmap is None else cache(open_mesh_file)
     compare = partial(
         compare_files, format=request.format, with_intersections=is_checked, open_file=open_file
@@ -146,7 +146,7 @@ def command(request: Request) -> int:
         else:
             failure = Failure(_NO_PARTNER, f"there is no {name!r} in {missing!r}")
             records[name] = ComparisonRecord(*paths, version=__version__, error=failure)
-    # Files that were left out on purpose are not missed.
+    # Files that were excluded on purpose are not reported as missing.
     is_all = not any(patterns)
     return _conclude(request, gates, earlier, records, is_all=is_all)
 
@@ -175,10 +175,11 @@ def _conclude(
     is_all: bool,
     is_pair: bool = False,
 ) -> int:
-    """Judge and print the records by relative path, or by the name of B; the exit status.
+    """Check the gates of the records, by relative path or by the name of B, and print them; returns
+    the exit status.
 
-    ``earlier`` are the figures of the baseline by path; None if there is none.  ``is_all``: all
-    files were compared, so that it may miss a file.  ``is_pair``: A and B are two files.
+    ``earlier`` are the figures of the baseline by path; None without one.  ``is_all``: all files
+    were compared, so files that only the baseline has are missing.  ``is_pair``: A and B are files.
     """
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report import comparison, data
@@ -189,7 +190,7 @@ def _conclude(
     tolerance = 0.01 if request.tolerance is None else request.tolerance
     records = with_gates(gates, [*pairs.values()])
     for at, (name, record) in enumerate(zip(pairs, records, strict=True)):
-        # A baseline of one pair is that of this pair, whatever the files are called.
+        # A baseline of one pair is for this pair, whatever the files are called.
         is_of_pair = is_pair and len(known) == 1
         then = next(iter(known.values())) if is_of_pair else comparison.find_partner(name, known)
         if record.error is None and then is not None:
@@ -227,10 +228,10 @@ def _conclude(
         for name in vanished:
             console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
     finally:
-        # Each is there, even if the other fails.
+        # Write the heat map even if printing fails.
         if request.heatmap is not None and not failures:
             _write_heatmap(request)
-    # A pair that cannot be compared outweighs a broken gate, and that a file without a partner.
+    # A pair that cannot be compared outweighs a broken gate, which outweighs a missing partner.
     is_gate_failed = is_any_broken(records) or bool(vanished)
     if is_gate_failed and len(failures) == len(records) - len(present) < len(records):
         return console.GATE_FAILED
@@ -238,7 +239,7 @@ def _conclude(
 
 
 def _say_failure(record: ComparisonRecord) -> None:
-    """Say why two files could not be compared, under the name of the one that is at fault."""
+    """Say why two files could not be compared, and name the file at fault."""
     error = record.error
     assert error is not None
     for path in (record.before, record.after):

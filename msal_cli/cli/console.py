@@ -1,4 +1,4 @@
-"""What msal says, data to standard output, words and the log to standard error; and its exit
+"""What msal prints: data to standard output, messages and the log to standard error; and its exit
 statuses.
 
 | 0 | every selected file is written or up to date |
@@ -43,26 +43,26 @@ _STYLES: dict[str, dict[str, Any]] = {
 
 
 def say(text: str, tone: str = "plain") -> None:
-    """A line to standard error, above a progress bar if there is one."""
+    """Print a line to standard error, above a progress bar if there is one."""
     stream, bars = sys.stderr, sys.modules.get("tqdm")
     if stream is None:
         return
     text = _colour(text, tone, stream)
     bar = bars.tqdm.external_write_mode(file=stream) if bars else nullcontext()
-    # If the terminal is gone, the failure cannot be reported either.
+    # If the terminal is gone, that cannot be reported either.
     with bar, suppress(OSError, ValueError):
         stream.write(text + "\n")
         stream.flush()
 
 
 def say_lines(lines: Iterable[Line]) -> None:
-    """Lines to standard error, coloured where that is wanted."""
+    """Print lines to standard error, with colours if they are wanted."""
     for line in lines:
         say(line.text, line.tone)
 
 
 def say_error(error: MsalError) -> None:
-    """An error in words: ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)`` and its hint."""
+    """Print an error, ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)``, and its hint."""
     from msal_cli.report.facts import failure_text, file_name
 
     words = failure_text(error, with_code=error.code != "E_USAGE")
@@ -73,7 +73,7 @@ def say_error(error: MsalError) -> None:
 
 
 def say_failure(name: str, failure: Failure) -> None:
-    """The failure of a single file, in the words of an error."""
+    """Print the failure of a file like an error."""
     from msal_cli.report.facts import failure_text, file_name
 
     _say_error_words(f"{file_name(name)}: {failure_text(failure)}", failure.hint)
@@ -90,8 +90,8 @@ def say_written(path: str) -> None:
 
 
 def say_summary(run: Run, records: Sequence[MeshRecord], *, verbose: bool) -> None:
-    """The summary of a run to standard error; of a single file with what differs from the defaults
-    of its method, if this version of msal has that."""
+    """Print the summary of a run to standard error; for a single file with the parameters that
+    differ from the defaults of its method, if this version of msal has that method."""
     from msal_cli import methods
     from msal_cli.report import text
 
@@ -104,9 +104,9 @@ def say_summary(run: Run, records: Sequence[MeshRecord], *, verbose: bool) -> No
 
 
 def put(text: str) -> None:
-    """Text as data to standard output, with what its encoding lacks escaped.
+    """Write text to standard output; characters that its encoding lacks are escaped.
 
-    OutputError if it is closed or its disk is full, BrokenPipeError if its reader is gone.
+    Raises OutputError if it is closed or its disk is full, BrokenPipeError if its reader is gone.
     """
     with _open_output() as stream:
         encoding = stream.encoding or "ascii"
@@ -114,36 +114,36 @@ def put(text: str) -> None:
 
 
 def put_lines(lines: Iterable[Line]) -> None:
-    """Lines as data to standard output, coloured if it is a terminal and that is wanted."""
+    """Write lines to standard output, in colours if it is a terminal and they are wanted."""
     for line in lines:
         put(_colour(line.text, line.tone, sys.stdout) + "\n")
 
 
 def put_bytes(data: bytes | bytearray | memoryview) -> None:
-    """Bytes as data to standard output, at once; the errors are those of ``put``."""
+    """Write bytes to standard output, unbuffered; raises as ``put`` does."""
     rest = memoryview(data).cast("B")
     with _open_output() as stream:
         stream.flush()
         while len(rest):
-            # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
-            # 2 GB at once, and what a pipe has room for when its reader goes.
+            # With PYTHONUNBUFFERED this is a raw stream, which may write only a part: less than
+            # 2 GB at once, and no more than a pipe has room for.
             taken = stream.buffer.write(rest)
             if not taken:
-                # A stream that does not wait, and has no room now.
+                # A non-blocking stream has no room now.
                 time.sleep(0.01)
             rest = rest[taken or 0 :]
         stream.buffer.flush()
 
 
 def put_json(schema: str, **data: Any) -> None:
-    """A JSON document to standard output: its schema, the version of msal, and plain ``data``."""
+    """Write a JSON document to standard output: schema, version of msal, and plain ``data``."""
     from msal_cli.report.data import json_bytes, plain
 
     put_bytes(json_bytes(plain({"schema": schema, "version": __version__, **data})))
 
 
 def flush() -> None:
-    """Hand on what was put to standard output; the errors are those of ``put``."""
+    """Flush standard output; raises as ``put`` does."""
     if sys.stdout is not None:
         with _open_output() as stream:
             stream.flush()
@@ -151,7 +151,7 @@ def flush() -> None:
 
 @contextmanager
 def _open_output() -> Iterator[TextIO]:
-    """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
+    """Standard output; OutputError if it cannot be written, but a BrokenPipeError stays."""
     if sys.stdout is None:
         raise OutputError("standard output is closed", hint="redirect it, or name a file")
     try:
@@ -163,8 +163,8 @@ def _open_output() -> Iterator[TextIO]:
 
 
 def width(stream: TextIO | None) -> int:
-    """Columns for a table on ``stream``; without bound where that is no terminal: names are cut
-    for eyes, never in a log."""
+    """Columns for a table on ``stream``; unlimited if it is no terminal, because names are cut for
+    people and never in a log."""
     import shutil
 
     if not is_terminal(stream):
@@ -197,8 +197,7 @@ _TRACE = "Traceback (most recent call last)"
 def log_to_console(verbosity: int) -> Iterator[None]:
     """Send the log to standard error while the block runs.
 
-    ``verbosity`` is -1 for errors only, 0 for warnings, 1 for the steps, 2 for everything, with
-    times.
+    ``verbosity`` is -1 for errors only, 0 for warnings, 1 for steps, 2 for everything, with times.
     """
     handler = _ConsoleHandler(verbosity)
     _logger.setLevel(handler.level)
@@ -209,7 +208,7 @@ def log_to_console(verbosity: int) -> Iterator[None]:
     except (MsalError, click.ClickException, click.exceptions.Exit, BrokenPipeError):
         raise
     except Exception:
-        # Only here is the handler still in place; ``main`` prints the one line for users.
+        # The handler is gone when ``main`` prints its one line for users.
         _logger.exception("internal error")
         raise
     finally:
@@ -217,8 +216,8 @@ def log_to_console(verbosity: int) -> Iterator[None]:
 
 
 class _ConsoleHandler(logging.Handler):
-    """Log records as lines on standard error; no name of a file breaks a line, reaches the terminal
-    or makes an entry of its own."""
+    """Log records as lines on standard error; the name of a file cannot break a line, control the
+    terminal or look like another entry."""
 
     def __init__(self, verbosity: int) -> None:
         super().__init__(_LEVELS.get(verbosity, logging.DEBUG))
@@ -231,13 +230,13 @@ class _ConsoleHandler(logging.Handler):
             text = f"{formatter.formatTime(record)} {text}"
         if record.exc_info:
             text += "\n" + _escape(formatter.formatException(record.exc_info))
-        # The failure itself is reported with the file that it belongs to.
+        # Without -v a failure is reported only with the file that it belongs to.
         if self._verbosity > 0 or _TRACE not in text:
             say(text)
 
 
 def _escape(text: str) -> str:
-    # Traces, also those that workers send, are the only messages of several lines.
+    # Only tracebacks, also those from workers, have several lines.
     lines = text.split("\n") if _TRACE in text else [text]
     return "\n".join(map(escape_for_display, lines))
 
@@ -251,16 +250,16 @@ SOME_FAILED = 3
 GATE_FAILED = 4
 NOTHING_MATCHED = 5
 INTERRUPTED = 130
-# As if by SIGPIPE, which is how `cat` and `git` end too: no success, and yet no failure of ours.
+# As after SIGPIPE, which ends `cat` and `git`, too: not a success, but no failure of msal.
 READER_GONE = 141
 
 _RISING = (SUCCESS, GATE_FAILED, SOME_FAILED, FATAL)
 
 
 def worst_status(first: int, second: int) -> int:
-    """The one of two statuses that wins."""
+    """Of two statuses the one that wins."""
     if first not in _RISING or second not in _RISING:
-        # Signals, and refusals before any work, say more than what came of the work.
+        # Signals, and refusals before any work, matter more than results of the work.
         return second if first in _RISING else first
     return max(first, second, key=_RISING.index)
 
@@ -268,7 +267,7 @@ def worst_status(first: int, second: int) -> int:
 def status_of_files(
     n_files: int, n_failed: int, *, is_gate_failed: bool = False, is_given_up: bool = False
 ) -> int:
-    """The status of a run over ``n_files`` files that came to its end, or was given up."""
+    """The status of a run over ``n_files`` files that has ended, or was given up."""
     if is_given_up:
         return FATAL
     if n_failed:

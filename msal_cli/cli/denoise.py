@@ -1,4 +1,4 @@
-"""``msal denoise``: from the options of the command line to a run, and from its records to text."""
+"""``msal denoise``: from command-line options to a run, and from its records to text."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("msal.denoise")
 
 
-# The options by theme: what most people need, and more
+# The options by topic, in two parts: common ones and more
 
 _INPUT_AND_OUTPUT = group(
     "Input and output",
@@ -233,7 +233,7 @@ def command(request: Request) -> int:
 
 
 def read_limits(request: Request) -> Limits:
-    """What one file may take; UsageError for a number of threads or a folder that is none."""
+    """What one file may use; UsageError for a wrong number of threads or a missing folder."""
     options.check_threads_variable()
     # The machines of a cluster may have another disk.
     if request.scratch and request.engine != "dask" and not os.path.isdir(request.scratch):
@@ -242,11 +242,11 @@ def read_limits(request: Request) -> Limits:
 
 
 class _Session:
-    """One call of the command: its request, and what its records are measured against."""
+    """One call of the command: its request, and the references of its records."""
 
     def __init__(self, request: Request) -> None:
         self._request = request
-        # For reports and manifests, without passwords.
+        # For reports and manifests: passwords are removed.
         self._command = ("msal", *map(urls.redact, request.context.obj))
         self._started, self._begun = iso_timestamp(time.time_ns()), time.perf_counter()
         self._stream: Task | None = None
@@ -264,13 +264,13 @@ class _Session:
             self._gates = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
             if request.reference is None:
                 gates.refuse_without_reference(self._gates, "give --reference TRUTH")
-        # For each record the path of its reference, where there are any.
+        # The path of the reference for each record, if there are any.
         self._references: tuple[str, ...] = ()
         # Folders that could not be listed.
         self._unlisted: list[MsalError] = []
 
     def run(self) -> int:
-        """Check everything, then work; the exit status."""
+        """Check everything, then work; returns the exit status."""
         from msal_cli.batch.inputs import discover_inputs
         from msal_cli.batch.plan import Plan
         from msal_cli.job.pipeline import denoise_file
@@ -289,7 +289,7 @@ class _Session:
         patterns = request.include, request.exclude
         unlisted = None if request.tile_set or request.in_place else self._unlisted
         found = discover_inputs(request.inputs, *patterns, output=request.output, failures=unlisted)
-        # Everything is checked first, so that each shard refuses what a whole run would.
+        # Check all files, so that each shard refuses what a whole run would refuse.
         plan = plan_files(request, settings, found)
         plan = plan if shard is None else plan.select_shard(shard)
         return self._run_plan(plan, settings, denoise_file)
@@ -307,7 +307,7 @@ class _Session:
             engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
         tasks = whole.tasks
-        # A msal.toml that was found may be another person's.
+        # A msal.toml that was found may be another user's.
         is_found = not whole.folders() and is_from_found_file(request.context, "output")
         if is_found and os.path.lexists(tasks[0].output):
             raise UsageError(
@@ -335,7 +335,7 @@ class _Session:
             bar.on_event(event)
 
         try:
-            # The run takes the signals itself, to end its workers in good order.
+            # The run handles signals itself, to end its workers properly.
             records = run(
                 plan,
                 settings,
@@ -369,7 +369,7 @@ class _Session:
     ) -> None:
         """Report what was done before the run was ended; the rest is ``planned``.
 
-        Nothing that goes wrong here hides why the run was ended.
+        No error here hides why the run was ended.
         """
         from msal_cli.job.records import MeshRecord
 
@@ -389,7 +389,7 @@ class _Session:
     def _conclude(
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
-        """Measure, print, write the reports, and give the exit status."""
+        """Measure, print, write the reports, and return the exit status."""
         from msal_cli.job.records import Failure, MeshRecord, Run
         from msal_cli.report import data
 
@@ -473,7 +473,7 @@ _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
 def check_request(request: Request, stream: Task | None) -> None:
-    """Refuse options that do not go with each other, or with ``stream``; UsageError."""
+    """Raise UsageError for options that contradict or need each other, or ``stream``."""
     given = options.find_given(request.context)
     if stream is not None:
         given["stream"] = STREAM
@@ -499,7 +499,7 @@ def check_request(request: Request, stream: Task | None) -> None:
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
-    """For each input, by its relative path, the path of its reference; () without references."""
+    """For each input, by its relative path, the path of its reference; () if there is none."""
     truth = request.reference
     if truth is None:
         return ()
@@ -517,7 +517,7 @@ def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
-    """What decides the bytes of the outputs; UsageError for what no method or format knows."""
+    """The settings that decide the bytes of the outputs; UsageError for invalid ones."""
     given = {**vars(request), "method": AUTO if request.auto else request.method}
     given["parameters"] = [
         (f"{option} {given[name]}", name, given[name])
@@ -537,7 +537,7 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
 
 
 def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:
-    """The planned state of each of these files; UsageError for outputs that cannot be."""
+    """Plan the outputs of these files; UsageError for outputs that are impossible."""
     from msal_cli.batch import plan
 
     backup = DEFAULT_BACKUP if request.backup is None else request.backup
@@ -555,21 +555,21 @@ def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredI
     if settings.fields:
         from msal_cli.job.fields import path_beside
 
-        taken = {path for task in everything.tasks for path in (task.input, task.output)}
+        used = {path for task in everything.tasks for path in (task.input, task.output)}
         for task in everything.tasks:
             path = path_beside(task.output)
-            if path in taken:
+            if path in used:
                 raise UsageError(
                     f"the fields of {task.input!r} would be written to {path!r}, which is taken",
                     hint="rename one of the files, or run them into two output folders",
                     path=task.input,
                 )
-            taken.add(path)
+            used.add(path)
     return everything
 
 
 def log_record(record: MeshRecord) -> None:
-    """One line of the log per file; a failure is printed elsewhere, so it is no warning here."""
+    """Log one line for a file; a failure is printed elsewhere, so it is no warning here."""
     if _log.isEnabledFor(logging.INFO):
         from msal_cli.report.text import file_text
 

@@ -71,7 +71,7 @@ def command(request: Request) -> int:
     n_read = n_failed = 0
 
     def read_files() -> Iterator[InfoRecord]:
-        """The files that could be read; of the others it is said why not."""
+        """The records of readable files; prints the failures of the others."""
         nonlocal n_read, n_failed
         for record in records:
             if record.error is None:

@@ -1,4 +1,4 @@
-"""The command ``msal``: finds the subcommand, and turns errors into words and an exit status."""
+"""The command ``msal``: find the subcommand; turn errors into messages and an exit status."""
 
 import atexit
 import contextlib
@@ -35,7 +35,7 @@ COMMANDS = {
     "report": "Report on earlier runs.",
     "completion": "Print the completion script of a shell.",
 }
-"""What help says of each, without importing its module of this folder."""
+"""The line of help for each command, so that help need not import its module of this folder."""
 
 
 class Msal(click.Group):
@@ -113,14 +113,14 @@ def main() -> NoReturn:
 
 
 def _end(status: object) -> None:
-    """End the process, if nothing waits for it, without freeing modules and arrays one by one,
-    which takes a tenth of the time of a small mesh."""
-    # A debugger or a profiler has something to print at the end.
+    """End the process if nothing waits for it, without freeing modules and arrays one by one, which
+    takes a tenth of the time of a small mesh."""
+    # A debugger or a profiler prints something at the end.
     is_observed = sys.gettrace() is not None or sys.getprofile() is not None
     others = (thread for thread in threading.enumerate() if thread is not threading.main_thread())
     if not isinstance(status, int) or is_observed or any(not thread.daemon for thread in others):
         return
-    # A stream that cannot be flushed is for Python to deal with.
+    # If a stream cannot be flushed, Python reports it.
     with contextlib.suppress(OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
@@ -130,7 +130,7 @@ def _end(status: object) -> None:
 
 
 def _status(group: Msal, arguments: tuple[str, ...]) -> int:
-    """Run the command line and give its exit status."""
+    """Run the command line and return its exit status."""
     try:
         if instruction := os.environ.get(COMPLETE_VARIABLE):
             from click.shell_completion import shell_complete
@@ -145,7 +145,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
     except Exit as finish:
         return finish.exit_code
     except click.UsageError as error:
-        # Click lists choices one below the other.
+        # Click lists choices on lines of their own.
         message = escape_for_display(error.format_message().replace("\n\t", " "))
         command = error.ctx.command_path if error.ctx is not None else "msal"
         console.say(f"msal: error: {message}", "bad")
@@ -181,7 +181,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
 
 
 def _flush(status: int) -> int:
-    """``status``, or the one for output that cannot be delivered."""
+    """``status``, or another one if standard output cannot be delivered."""
     try:
         console.flush()
     except BrokenPipeError:
@@ -196,7 +196,7 @@ def _flush(status: int) -> int:
 
 
 def _abandon_output() -> None:
-    """Standard output leads nowhere: what is left in it must not be tried again at the end."""
+    """Redirect standard output to nothing, so that Python does not try to flush it at the end."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stdout.fileno())

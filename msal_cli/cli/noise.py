@@ -122,7 +122,7 @@ def command(request: Request) -> int:
 
 
 def _find_targets(request: Request) -> list[tuple[str, str]]:
-    """Each input with its output; one of a single pair may be a standard stream."""
+    """Each input with its output; a single pair may have a standard stream."""
     from msal_cli.batch.inputs import discover_inputs
     from msal_cli.batch.plan import build_plan
     from msal_cli.cli.streams import find_stream
@@ -146,7 +146,7 @@ def _find_targets(request: Request) -> list[tuple[str, str]]:
 def _make_noisy_file(
     source: str, path: str, noise: AddedNoise, format: str | None
 ) -> tuple[str, tuple[str, ...]]:
-    """Write one output, whole or not at all; what it is in words, and warnings."""
+    """Write one output, whole or not at all; returns its description, and warnings."""
     from contextlib import nullcontext
 
     from msal_cli.cli.streams import read_stream
@@ -171,7 +171,7 @@ def _make_noisy_file(
 
 
 def _build_noise(request: Request) -> AddedNoise:
-    """The noise; UsageError for a setting that the kind does not use."""
+    """The noise of the options; UsageError for one that its kind does not use."""
     from msal_cli.analysis.added_noise import build_noise
 
     names = ("fraction", "rings", "direction", "step", "border")

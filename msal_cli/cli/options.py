@@ -1,5 +1,5 @@
-"""Options that several commands share, the types of their values, what a shell completes, and which
-options contradict or need each other."""
+"""Options that several commands share, the types of their values, their completion, and tables of
+options that contradict or need each other."""
 
 import math
 import os
@@ -37,7 +37,7 @@ class PathOrUrl(click.Path):
     """A path, or a URL without ``file://``."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; UsageError for a URL with a secret in it."""
+        """The path; UsageError for a URL that contains a secret."""
         return urls.normalize_url(str(super().convert(value, param, ctx)))
 
 
@@ -58,7 +58,7 @@ def parse_jobs(text: str) -> int | None:
 def number(
     low: float = -math.inf, high: float = math.inf, unit: str = ""
 ) -> Callable[[str], float]:
-    """The type of finite numbers from ``low`` to ``high``, which ``unit`` may follow."""
+    """The type of finite numbers from ``low`` to ``high``; ``unit`` may follow the number."""
     limits = "" if low == -math.inf else f" from {low:g}" + (f" to {high:g}" * (high < math.inf))
 
     def parse(text: str) -> float:
@@ -68,7 +68,7 @@ def number(
             value = math.nan
         if not low <= value <= high or math.isinf(value):
             raise click.BadParameter(f"{text!r} is not a number{limits}")
-        # Not -0.0, which would be shown.
+        # Adding 0.0 makes -0.0, which help would show, 0.0.
         return value + 0.0
 
     return parse
@@ -79,7 +79,7 @@ def parse_list(text: str) -> tuple[str, ...]:
 
 
 def _parse_with_unit(text: str, units: dict[str, float] | dict[str, int]) -> float:
-    """A number with one of ``units`` behind it, times that unit; 0 for anything else."""
+    """A number followed by one of ``units``, times that unit; 0 for anything else."""
     match = re.fullmatch(_NUMBER_AND_UNIT, text.strip())
     return float(match[1]) * units.get(match[2].lower(), 0) if match else 0.0
 
@@ -95,7 +95,7 @@ def parse_duration(text: str) -> float | None:
 def parse_size(text: str) -> int | None:
     """Bytes: ``500MB`` is 500 million, ``500MiB`` is 500 * 1024 * 1024; None for ``none``.
 
-    A number without a unit is refused: it is hardly meant in bytes.
+    A number without a unit is refused: bytes are hardly meant.
     """
     size = _parse_with_unit(text, _BYTES)
     if text != "none" and not size >= 1.0:
@@ -104,7 +104,7 @@ def parse_size(text: str) -> int | None:
 
 
 def parse_percentage(text: str) -> float:
-    """A share that is written in percent."""
+    """A share from a percentage such as ``2%``."""
     match = re.fullmatch(r"(?a)(\d{1,9}(?:\.\d{1,9})?)\s*%", text.strip())
     if match is None:
         raise click.BadParameter(f"{text!r} is not a percentage such as 2% or 0.5%")
@@ -116,7 +116,7 @@ def parse_direction(text: str) -> tuple[float, float, float]:
     axis = text.lower().removeprefix("-").removeprefix("+")
     if axis in AXES:
         sign = -1.0 if text.startswith("-") else 1.0
-        # Not -0.0, which would be shown.
+        # Adding 0.0 makes -0.0, which would be shown, 0.0.
         x, y, z = (sign * (axis == name) + 0.0 for name in AXES)
         return x, y, z
     try:
@@ -130,7 +130,7 @@ def parse_direction(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-# Values that are checked when the command runs, because that imports more.
+# Values that are checked when the command runs, because the checks import more.
 
 
 def resolve_format(text: str | None) -> str | None:
@@ -139,7 +139,7 @@ def resolve_format(text: str | None) -> str | None:
 
 
 def parse_assignment(text: str) -> tuple[str, str, str]:
-    """What messages call a ``--set``, and its two parts; UsageError if it is no ``NAME=VALUE``."""
+    """The label of a ``--set`` for messages, and its parts; UsageError without ``NAME=VALUE``."""
     name, sign, value = text.partition("=")
     if not sign or not name.strip() or not value.strip():
         raise UsageError(f"--set {text} is not NAME=VALUE", hint="for example: --set iterations=4")
@@ -147,7 +147,7 @@ def parse_assignment(text: str) -> tuple[str, str, str]:
 
 
 def check_threads_variable() -> None:
-    """Refuse a value of ``MSAL_THREADS`` that means nothing; UsageError."""
+    """Raise UsageError for an invalid value of ``MSAL_THREADS``."""
     value = os.environ.get("MSAL_THREADS", "")
     is_number = value.isascii() and value.isdigit() and len(value) <= _MAX_DIGITS
     if value and not (is_number and int(value) > 0):
@@ -177,18 +177,17 @@ _TYPES: dict[str, Any] = {
     "TIME": parse_duration,
     "X,Y,Z": parse_direction,
 }
-"""The types of values, by what help calls these."""
+"""The types of values, by the words for them in help."""
 
 _HEAD = r"(-[^\s,]+(?:, -\S+)*)(?: (?!\.\.\.|=|->)(\S+))?( \.\.\.)?(?: = (\S+))?(?: -> (\w+))?"
-"""Flags, what they take, whether the option may be repeated, its default, its parameter."""
+"""Flags, the word for the value, whether the option is repeatable, its default, its parameter."""
 
 MESSAGES = "Messages and help"
 """The group that ``-h`` and ``--help-all`` belong to."""
 
 
 class OptionGroup(NamedTuple):
-    """Options that help shows together: those that most people need, and those that only
-    ``--help-all`` shows."""
+    """Options that help shows together: the common ones, and those for ``--help-all`` only."""
 
     title: str
     common: tuple[click.Option, ...]
@@ -196,7 +195,7 @@ class OptionGroup(NamedTuple):
 
 
 def group(title: str, text: str, **settings: Any) -> OptionGroup:
-    """The options that ``text`` describes; those after a line ``more:`` are not common."""
+    """The options that ``text`` describes; those after a line ``more:`` are for --help-all."""
     common, _, more = text.partition("more:\n")
     return OptionGroup(
         title, tuple(parse_options(common, settings)), tuple(parse_options(more, settings))
@@ -204,12 +203,12 @@ def group(title: str, text: str, **settings: Any) -> OptionGroup:
 
 
 def parse_options(text: str, settings: Mapping[str, Any]) -> Iterator[click.Option]:
-    """Options as help describes them: a line each, and below it, indented, the help.
+    """Parse options that are described as help shows them: a line each, and the help, indented.
 
     ``-o, --output OUT = DEFAULT -> name`` is an option whose parameter has another name; without
     ``OUT`` it is a flag.  ``[a|b]`` is one of these words, and with ``...`` the option may be
-    repeated.  One without help is that of ``SHARED``.  ``settings`` are by parameter: a type, or a
-    mapping of what ``click.Option`` takes.
+    repeated.  An option without help is one of ``SHARED``.  ``settings`` has a type for a
+    parameter, or a mapping of what ``click.Option`` takes.
     """
     for entry in re.findall(r"^-.*\n(?: .*\n)*", text, re.MULTILINE):
         head, *lines = entry.splitlines()
@@ -275,7 +274,7 @@ _SHARED = f"""
 --retries N
     How often a file is tried again, alone, that was lost to a crash, memory or time. [default: 1]
 --fail-fast
-    Begin no more files once one has failed in this run; a rerun goes on behind it.
+    Begin no more files once one has failed in this run; a rerun goes on after it.
 --max-failures N
     Begin no more files once N have failed in this run. [default: none]
 -q, --quiet
@@ -349,7 +348,7 @@ stdout as_json: the mesh and --json cannot both go to standard output
     name a file with -o for the mesh, or with --report for the records
 """
 
-# Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
+# Two names of ``find_given`` that contradict each other, a message if not the usual one, a hint.
 _CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
     *re.findall(r"(\w+) (\w+)(?:: (.*))?\n    (.*)\n", _ROWS),
     *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in BY_HAND),
@@ -364,7 +363,7 @@ _CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
 
 _DASK_HINT = "give --scheduler tcp://HOST:8786; on this machine alone, leave --engine dask away"
 
-# A name that is of no use without the other, words for that one, and a hint.
+# A name that needs another one, words for that one, and a hint.
 _NEEDS = (
     ("backup", "in_place", "--in-place", "other inputs are never replaced"),
     ("no_backup", "in_place", "--in-place", "other inputs are never replaced"),
@@ -374,22 +373,22 @@ _NEEDS = (
     ("csv_columns", "csv_report", "a report in .csv", "name one, or leave --csv-columns away"),
 )
 
-# The parameters that ``find_given`` has by other names.
+# Parameters that have other names in ``find_given``.
 _PARAMETERS = {"automatic": "method", "adaptive": "method", "dask": "engine"}
 
 
 def find_given(context: click.Context) -> dict[str, str]:
-    """The options of a command line that have another value than without them, as users write them.
+    """The options of a command line whose values are not their defaults, as users write them.
 
     Four values count as options of their own: ``automatic`` and ``adaptive`` for those words in
     place of a method, ``dask``, and ``csv_report``.
     """
     given = {}
-    # The default of the program counts, whatever a configuration file gives.
+    # Compare with the defaults of the program, not with those from a configuration file.
     from_file, context.default_map = context.default_map, None
     for parameter in context.command.params:
         value: Any = context.params.get(str(parameter.name))
-        # 0 is given, too.
+        # 0 is a value, too.
         is_empty = value is None or value is False or value == ()
         if not is_empty and value != parameter.get_default(context):
             given[str(parameter.name)] = max(parameter.opts, key=len)
@@ -407,8 +406,8 @@ def find_given(context: click.Context) -> dict[str, str]:
 
 
 def find_overruled(context: click.Context) -> set[str]:
-    """The parameters whose values from a configuration file give way to the command line: they
-    contradict it, or need an option that is not given."""
+    """The parameters with values from a configuration file that contradict the command line, or
+    need an option that is not given: the command line wins."""
     given = find_given(context)
     from_file = {
         name
@@ -428,13 +427,13 @@ def find_overruled(context: click.Context) -> set[str]:
     left = given.keys() - overruled
     overruled |= {first for first, other, *_ in _NEEDS if first in from_file and other not in left}
     if "output" in by_hand and output and is_mesh_name(output) and not os.path.isdir(output):
-        # Its suffix decides.
+        # The suffix of the output decides.
         overruled |= from_file & {"to"}
     return {_PARAMETERS.get(name, name) for name in overruled}
 
 
 def refuse_conflicts(given: Mapping[str, str]) -> None:
-    """Refuse the first two options of the tables that do not go together; UsageError."""
+    """Raise UsageError for the first options that contradict or need each other by the tables."""
     for first, other, message, hint in _CONFLICTS:
         if first in given and other in given:
             message = message or "{one} and {other} contradict each other"

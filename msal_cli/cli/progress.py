@@ -1,4 +1,4 @@
-"""How far a run is: on a terminal a bar over its files or a line on one mesh; lines in a log."""
+"""Show progress: a bar over files or a line for one mesh on a terminal, lines in a log."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _log = logging.getLogger("msal.denoise")
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 
-# What takes less time gets no bar (seconds).
+# No bar is shown before this time.
 _DELAY_S = 0.4
 _BETWEEN_S = 0.1
 
 _LOG_EVERY_S = 5.0
-"""Seconds between two lines of a log on many files."""
+"""Seconds between two lines in a log of many files."""
 
 _SILENT_S = 15.0
-"""Seconds without a line in a log after which the stage of the current file is one."""
+"""Seconds without a line in a log after which the stage of the current file is printed."""
 
 _MAX_LINES = 200
-"""Files up to which a log has a line for each."""
+"""With more files than this, a log does not have a line for each."""
 
 _COUNTED = ("choose", "sweeps")
 
 
 class Silent:
-    """No bar, and the base of those that show one."""
+    """No bar; the base class of those that show one."""
 
     _bar: Any = None
 
@@ -48,13 +48,13 @@ class Silent:
         """Show what happened to a file of a run."""
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
 
 
 class StageLine(Silent):
-    """A line for one mesh: the stage that it is at, and how many sweeps are done."""
+    """A line for one mesh: its stage, and how many sweeps are done."""
 
     def __init__(self, name: str) -> None:
         self._name = _shorten(name)
@@ -86,15 +86,15 @@ class FileBar(Silent):
             if self._n_failed:
                 self._bar.set_postfix_str(f"{self._n_failed:,} failed", refresh=False)
             self._bar.update(1)
-        # A folder of small files must not spend its time on a bar.
+        # Drawing the bar for each of many small files would take too long.
         if time.monotonic() >= self._shown + _BETWEEN_S:
             self._shown = time.monotonic()
             self._bar.refresh()
 
 
 class Log(Silent):
-    """Lines where no terminal shows a bar: one for each file as it finishes, or of more than
-    ``_MAX_LINES`` files one every ``_LOG_EVERY_S`` seconds; the stage of a file that takes long."""
+    """Lines where no terminal shows a bar: one for each finished file or, for more than
+    ``_MAX_LINES`` files, one every ``_LOG_EVERY_S`` seconds; and the stage of a slow file."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._tasks = tasks
@@ -113,8 +113,8 @@ class Log(Silent):
         is_current = event.record.status == "up-to-date"
         self._n_current += is_current
         n_files = len(self._tasks)
-        # The summary follows at once on a single file, and counts those that are up to date; with
-        # -v the log has a line for each.
+        # A summary follows for a single file, and counts files that are up to date; with -v the
+        # log has a line for each file.
         if n_files == 1 or is_current or _log.isEnabledFor(logging.INFO):
             return
         self._n_unsaid += 1
@@ -133,9 +133,9 @@ class Log(Silent):
 
 
 def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
-    """The bar for a run; lines where standard error is no terminal, and Silent with ``quiet``.
+    """The bar for a run; lines if standard error is no terminal; Silent with ``quiet``.
 
-    The files of a tile set have one bar, as a single mesh has.
+    A tile set has one line, like a single mesh.
     """
     if quiet or not tasks:
         return Silent()
@@ -148,7 +148,7 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
 
 @contextmanager
 def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar for the pictures of a report; its function gets how many of how many are done."""
+    """A bar for the pictures of a report, as a function of pictures done and their total."""
     if quiet or not console.is_terminal(sys.stderr):
         yield lambda done, total: None
         return
@@ -175,7 +175,7 @@ def _make_bar(**options: Any) -> Any:
 
     from tqdm import tqdm
 
-    # tqdm's own lock and monitor would bring a semaphore of the system and a thread.
+    # tqdm's own lock and monitor would create a system semaphore and a thread.
     tqdm.set_lock(threading.RLock())
     tqdm.monitor_interval = 0
     return tqdm(file=sys.stderr, leave=False, dynamic_ncols=True, mininterval=_BETWEEN_S, **options)

@@ -1,4 +1,4 @@
-"""``msal report``: what earlier runs did, from what they left behind."""
+"""``msal report``: what earlier runs did, from their manifests and reports."""
 
 from __future__ import annotations
 
@@ -112,14 +112,14 @@ def _summarize(
     """The run and the records of these output folders, manifests and reports; remarks on what is
     missing or still going on; and the paths of the files that were read.
 
-    ``is_checked`` also compares the outputs in folders of this machine with their hashes.
+    ``is_checked`` also compares the outputs in local folders with their hashes.
 
-    Of several records of a file, distinguished by the paths of its input and output, the newest
-    counts.  The run is the newest one; its times span all runs of the same version and settings,
-    and its seconds are those in which any of them was at work.
+    Of several records with the same input and output the newest counts.  The run is the newest
+    one; its times span all runs of the same version and settings, and its seconds are those in
+    which at least one of them was running.
 
-    UsageError for a name without a file, a folder or a manifest in it; FormatError for a file that
-    is neither a manifest nor a report; OutputError or InputError where a file cannot be read.
+    Raises UsageError for a name without a file, a folder or a manifest in it; FormatError for a
+    file that is neither a manifest nor a report; OutputError or InputError if one cannot be read.
     """
     from msal_cli.batch import manifest, resume
 
@@ -166,7 +166,7 @@ def _summarize(
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
-    """What is not finished in a folder, in words: the newest run, or one of its shards."""
+    """Remarks on what is not finished in a folder: the newest run, or shards of it."""
     from msal_cli.batch.lock import lock_owners
 
     # A store has no locks.
@@ -189,7 +189,7 @@ def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
 
 
 def _all_shards(run: RunEntry) -> list[str]:
-    """The shards that make up the whole that a run is a part of; of a whole run itself."""
+    """The shards of the whole that a run is a part of; one empty name for a whole run."""
     count = 0 if run.shard is None else run.shard.count
     return [f"{k}/{count}" for k in range(1, count + 1)] or [""]
 
@@ -232,16 +232,16 @@ def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
         if row.output or row.input not in named:
             by_output[row.output] = row
         else:
-            # In a report a failure does not say which output is missing: any of its input.
+            # In a report, a failure has no output, so it counts for all outputs of its input.
             by_output.update(dict.fromkeys(by_output, row))
-    # Several outputs of one input may have got the same failure.
+    # Several outputs of one input may have the same failure.
     last = {id(row): row.record for by_output in newest.values() for row in by_output.values()}
     return sorted(last.values(), key=lambda record: record.input.split("/"))
 
 
 def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
-    """The newest of several runs, with the times of all of the same version and settings, and the
-    seconds in which at least one of these was at work."""
+    """The newest of several runs, with the time span of all runs of the same version and settings,
+    and the seconds in which at least one of these was running."""
     newest = max(runs, key=lambda run: run.at)
     alike = [run for run in runs if run.configuration == newest.configuration]
     seconds, reached = 0.0, float("-inf")
@@ -262,7 +262,7 @@ def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
 
 
 def _unknown_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
-    """The run of a report in .jsonl, which has only files."""
+    """A run for a report in .jsonl, which has only records of files."""
     from msal_cli.machine import iso_timestamp
 
     times = [row.at for row in rows] or [0]
@@ -279,7 +279,7 @@ def _unknown_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
 
 
 def _parse_time(timestamp: str) -> float | None:
-    """Seconds since 1970 of a time as reports have it; None if it is none."""
+    """Seconds since 1970 of a timestamp in a report; None if it is invalid."""
     try:
         return datetime.fromisoformat(timestamp).timestamp()
     except (ValueError, OverflowError):

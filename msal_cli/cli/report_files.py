@@ -1,9 +1,9 @@
 """Files beside the meshes: reports and pictures, and what they must not replace.
 
-Every command asks ``refuse_target`` before it works.  Names lead to files by links of both kinds,
-and what a file is shows in its content, so neither a name nor a path alone is trusted.
+Every command calls ``refuse_target`` before it works.  Symbolic and hard links can lead to any
+file, and only its content shows what a file is, so neither names nor paths are trusted.
 
-GitHub Actions takes annotations from the log of a step.
+Annotations for GitHub Actions are lines in the log of a step.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from msal_cli.report.html import Gallery
 
 
-# By the suffix of a report, the function of a run and its records that makes its bytes.
+# For each suffix of a report, the function that renders a run and its records as bytes.
 _WRITERS = {
     ".json": ("data", "render_json"),
     ".jsonl": ("data", "render_lines"),
@@ -48,9 +48,9 @@ def _suffix(name: str) -> str:
 
 
 def check(names: Sequence[str], taken: Iterable[str]) -> None:
-    """Refuse reports that cannot be written, or that would replace one of the paths ``taken``,
-    another mesh or a file of msal's own; also an unknown suffix, a name given twice, and a place
-    that cannot be written.  UsageError."""
+    """Raise UsageError for reports that cannot be written, or that would replace one of the paths
+    ``taken``, another mesh or a file of msal's own; also for an unknown suffix or a name that is
+    given twice."""
     taken = tuple(taken)
     seen: set[str] = set()
     for name in names:
@@ -82,17 +82,17 @@ def write(
 ) -> None:
     """Write every report, whole or not at all; OutputError names the first that cannot be.
 
-    One that cannot be written does not keep the others from being written.
+    If one cannot be written, the others still are.
 
     Parameters
     ----------
     backup : what was added to the names of originals that were replaced, if it is known.
     csv_columns : ``all``; by default those of ``data.COMMON_COLUMNS``.
-    without_pictures : leave them out of pages, where a run is to end soon.
+    without_pictures : leave them out of pages, because the run is to end soon.
     quiet : show no bar while pictures are made.
     """
     first: OutputError | None = None
-    # Pages take longest: after Ctrl-C the other reports are there.
+    # Pages take longest and come last: after Ctrl-C the other reports are there.
     pages = {name for name in names if _suffix(name) == ".html"}
     pictures: Gallery | None = None
     for name in sorted(names, key=pages.__contains__):
@@ -115,7 +115,7 @@ def write(
             data = render(run, records, **options)
             # A signal must not leave a temporary file, which no later run would remove.
             with interrupts.catch_signals():
-                # No more users may open a page than the meshes that it shows.
+                # A page gets no wider permissions than the meshes that it shows.
                 write_output(name, data, sources=shown)
         except OutputError as error:
             first = first or error
@@ -129,13 +129,13 @@ REPORT = (
     r'|## [^\n]{1,6} msal denoise: |<\?xml[^\n]*\n<testsuites>\s*<testsuite id="0" package="msal" '
     r'|<!DOCTYPE html>.*<meta name="generator" content="msal '
 )
-"""How the reports of msal begin, as bytes: the longest sign of a Markdown report has six."""
+"""How the bytes of msal's reports begin; the sign of a Markdown report has up to 6 bytes."""
 
 _ANOTHER = "give it another name"
 
 
 def require_files(names: Iterable[str]) -> None:
-    """UsageError unless each of the names is that of a file: of no folder, stream or nothing."""
+    """Raise UsageError unless each name is that of a file: no folder, pattern or stream."""
     from msal_cli.batch.inputs import find_type
 
     for name in names:
@@ -148,23 +148,23 @@ def require_files(names: Iterable[str]) -> None:
 def refuse_target(
     name: str, what: str, taken: Iterable[str] = (), *, replaces: str | None = None
 ) -> None:
-    """Refuse to write ``what`` (``the report``) to ``name``, where that would do harm.
+    """Refuse to write ``what`` (such as ``the report``) to ``name`` if that would do harm.
 
     Parameters
     ----------
-    taken : paths and URLs of inputs and outputs, which it must not replace.
-    replaces : a pattern of how files begin that it may replace, although they may be meshes; by
-        default all that are no mesh.
+    taken : paths and URLs of inputs and outputs, which must not be replaced.
+    replaces : a pattern for the beginning of files that may be replaced, although they may be
+        meshes; by default all files that are no meshes.
 
-    UsageError for the name of a mesh that may not be one, of a file of msal's own, of a folder, a
-    device or a pipe; for one of ``taken``, and for another mesh that is there.
+    Raises UsageError if ``name`` is that of a mesh (unless it may be one), of a file of msal's own,
+    of a folder, a device or a pipe, or one of ``taken``; and if another mesh is there.
     """
     from msal_cli.batch.plan import identify
     from msal_cli.codecs.detection import content_format
 
     is_remote = is_url(name)
     for path in (name,) if is_remote else (name, os.path.realpath(name)):
-        # Where case does not count, another case is the same file.
+        # Where case does not matter, a name in another case is the same file.
         if is_own((urls.name(path) if is_remote else Path(path).name).lower()):
             raise UsageError(
                 f"{what} {name!r} would have the name of a file of msal's own", hint=_ANOTHER
@@ -177,14 +177,14 @@ def refuse_target(
             raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
     if is_remote:
         return
-    # The folder itself may still have to be made, as that of the outputs often has.
+    # The folder may not exist yet, as often for outputs.
     folder = next(parent for parent in Path(name).absolute().parents if parent.exists())
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
         raise UsageError(
             f"{what} {name!r} cannot be written to the folder {str(folder)!r}",
             hint="choose another place",
         )
-    # A link to nowhere is replaced.
+    # A broken link is replaced.
     if not os.path.exists(name):
         return
     if os.path.isdir(name):
@@ -220,6 +220,6 @@ def annotate(records: Sequence[MeshRecord]) -> None:
         with suppress(OSError, ValueError):
             here = os.path.relpath(os.path.realpath("."), os.path.realpath(root))
     here = "" if here == "." or here.startswith("..") else here.replace(os.sep, "/")
-    # The runner reads both streams; standard output is for data.
+    # The runner reads both streams, and standard output is for data.
     for command in list_annotations(records, here):
         console.say(command)

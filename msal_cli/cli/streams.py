@@ -1,5 +1,5 @@
-"""Standard input and output: which of them a command uses, reading within limits, and denoising the
-mesh that comes or goes there.
+"""Standard input and output: which of them a command uses, reading within limits, and denoising a
+mesh from or to a stream.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LARGE_BYTES = 4 << 20
 
 
 def find_stream(inputs: tuple[str, ...], output: str | None) -> Task:
-    """One mesh by these inputs and this output, of which one is ``-``, a standard stream."""
+    """The task for these inputs and this output, one of which is ``-``, a standard stream."""
     if len(inputs) > 1:
         raise UsageError(
             "standard input and standard output hold one mesh, not several",
@@ -73,8 +73,8 @@ def choose_format(target: str, to: str | None) -> str | None:
 def read_stream() -> Buffer:
     """All of standard input.
 
-    InputError (``E_READ``) if it cannot be read; as soon as it has more than half of the machine's
-    memory TooLargeError, more than is left of it ResourceError (``E_MEMORY``).
+    Raises InputError (``E_READ``) if it cannot be read, TooLargeError once it exceeds half of the
+    machine's memory, and ResourceError (``E_MEMORY``) once it exceeds the available memory.
     """
     from msal_cli.machine import available_bytes
 
@@ -101,14 +101,14 @@ def read_stream() -> Buffer:
             "this machine",
             hint="cut the mesh into parts, or use a machine with more memory",
         )
-    # A library would copy what is no ``bytes``; a large file is not copied.
+    # Libraries copy what is not ``bytes``; a large file must not be copied here.
     return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
 
 
 def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> MeshRecord:
-    """As ``denoise_file`` for a mesh from or to a standard stream.
+    """As ``denoise_file``, for a mesh from or to a standard stream.
 
-    BrokenPipeError if standard output is not read.
+    Raises BrokenPipeError if standard output has no reader.
     """
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import FileRun
@@ -121,7 +121,7 @@ def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> M
         if target == STREAM:
             console.put_bytes(made.data)
         else:
-            # What the shell redirects to standard input may be a private file, too.
+            # The shell may have redirected a private file to standard input: take its permissions.
             write_output(target, made.data, sources=[0])
         return run.finish(target)
     except (UsageError, BrokenPipeError):

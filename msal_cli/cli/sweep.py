@@ -1,5 +1,5 @@
-"""``msal sweep``: one mesh denoised with many values of two parameters, and as msal chooses, as one
-picture."""
+"""``msal sweep``: one picture of a mesh denoised with many values of two parameters, and as msal
+chooses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``msal view``: one mesh, or two and what is between them, as a picture or a page."""
+"""``msal view``: a picture or a page of one mesh, or of two and their difference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def make_view_group(size: int) -> OptionGroup:
-    """The options that say where pictures of ``size`` pixels are taken from and how they look."""
+    """The options for the view and the look of pictures of ``size`` pixels."""
     return group(
         "Picture",
         f"""
@@ -44,7 +44,7 @@ more:
 
 
 def read_view(request: Request) -> View:
-    """The view that the options of ``make_view_group`` ask for."""
+    """The view that the options of ``make_view_group`` give."""
     from msal_cli.view.pictures import View
 
     place = (request.view, request.turn, request.tilt, request.up)

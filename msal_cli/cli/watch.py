@@ -1,6 +1,6 @@
-"""``msal watch``: denoise what arrives in a folder, batch by batch, as ``msal denoise`` does.
+"""``msal watch``: denoise files that arrive in a folder, batch by batch, as ``msal denoise`` does.
 
-The folder is listed again and again, as for a run, on network disks and all others alike.
+The folder is listed again and again, which works on all disks, also on network disks.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _UNFINISHED_ENDS = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", "~")
 _LISTED_EVERY_S = 2.0
 
-# Listing takes no more than this part of the time, however many files there are.
+# Listing takes at most this part of the time, however many files there are.
 _SHARE_OF_LISTING = 0.1
 
 _log = logging.getLogger("msal.batch")
@@ -57,7 +57,7 @@ _NOT_GIVEN = {
     **dict.fromkeys(("reports", "fail_on"), ()),
     "engine": "workers",
 }
-"""The options of ``msal denoise`` that a watch does not have."""
+"""The options of ``msal denoise`` that a watch does not have, with their defaults."""
 
 
 @grouped_command(
@@ -119,7 +119,7 @@ def command(request: Request) -> int:
 
 
 class _Watch:
-    """One call of the command: its request, and what became of the files so far."""
+    """One call of the command: its request, and the results of the files so far."""
 
     def __init__(self, request: Request) -> None:
         self._request = request
@@ -128,7 +128,7 @@ class _Watch:
         self._limits = read_limits(request)
         self._settings = build_settings(request, ())
         self._max_failures: int | None = 1 if request.fail_fast else request.max_failures
-        # The input of each output.
+        # The input of each output, by the output's path.
         self._sources: dict[str, str] = {}
         self._failed: set[str] = set()
         self._n_files = self._n_new_failures = 0
@@ -136,13 +136,13 @@ class _Watch:
         self._signals: list[int] = []
 
     def run(self) -> int:
-        """Watch until the end that was asked for; the exit status."""
+        """Watch until the requested end; returns the exit status."""
         from msal_cli.batch.manifest import open_folder
 
         request = self._request
         with ExitStack() as stack:
             with interrupts.catch_signals():
-                # From the start to the end, so that no other run works on the folder meanwhile.
+                # Keep the folder locked until the end, so that no other run works on it.
                 self._manifests[request.output] = open_folder(request.output, stack)
             inbox = Inbox(
                 request.folder,
@@ -160,7 +160,7 @@ class _Watch:
                     for plan in plans:
                         if not self._is_given_up():
                             self._run(plan)
-                    # Only what is there at the start is denoised again.
+                    # Only files that are there at the start are denoised again.
                     request.fresh = False
                 if self._signals:
                     interrupts.raise_for(self._signals[0])
@@ -174,7 +174,7 @@ class _Watch:
         )
 
     def _wait(self, inbox: Inbox) -> list[DiscoveredInput]:
-        """The next files, in the order of their times; none if the watch is to end."""
+        """Wait for the next files, in the order of their times; none if the watch is to end."""
         idle_s = self._request.idle_exit
         quiet_since = time.monotonic()
         with interrupts.catch_signals(self._signals.append):
@@ -189,7 +189,7 @@ class _Watch:
         return []
 
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
-        """One plan of all files, or a plan of each that can be done if some cannot."""
+        """One plan for all files; if some cannot be planned, one for each that can."""
         try:
             plan = plan_files(self._request, self._settings, files)
             for task in plan.tasks:
@@ -211,14 +211,14 @@ class _Watch:
             yield plan
 
     def _refuse(self, file: DiscoveredInput, error: UsageError) -> None:
-        """Count a file that has no plan, and record it in the manifest, once for its content."""
+        """Record a file that has no plan in the manifest, once for its content, and count it."""
         from msal_cli.batch.manifest import done_line
         from msal_cli.batch.resume import hash_file
         from msal_cli.job.records import Failure, MeshRecord
 
         output = self._request.output
         manifest = self._manifests[output]
-        # The entry of the output is another file's, or there is none; no output has this name.
+        # The entry of the output may be another file's; no output can have this name.
         name = f"/{file.relative}"
         earlier, sha256 = manifest.get(name), hash_file(file.path)
         is_known = earlier is not None and earlier.input_sha256 == sha256
@@ -261,7 +261,7 @@ class _Watch:
             console.say(f"{n_current:,} up to date")
 
     def _count(self, name: str, record: MeshRecord) -> None:
-        """Count a file, and say a line about it; of a failure also what to do about it."""
+        """Count a file and print a line about it, for a failure with its hint."""
         self._n_files += 1
         self._failed.discard(record.input)
         if record.error is not None:
@@ -281,7 +281,7 @@ class _Watch:
 
 
 def _check_folders(folder: str, output: str) -> None:
-    """Refuse what cannot be watched or written by a watch; UsageError."""
+    """Raise UsageError for folders that cannot be watched or written to."""
     for name in (folder, output):
         if name == STREAM or is_url(name):
             raise UsageError(
@@ -300,12 +300,12 @@ def _check_folders(folder: str, output: str) -> None:
 
 class Inbox:
     """The mesh files of a folder and its subfolders, as ``discover_inputs`` finds them, each once
-    per content; files with names of unfinished files are passed over.
+    per content; files with names of unfinished files are skipped.
 
     Parameters
     ----------
-    output : the folder that gets the outputs; nothing below it is taken.
-    settle_s : seconds for which size and time of a file must stand still.
+    output : the folder for the outputs; files below it are skipped.
+    settle_s : seconds for which size and time of a file must not change.
     """
 
     def __init__(
@@ -321,7 +321,7 @@ class Inbox:
         self._output = output
         self._patterns = include, exclude
         self._settle_s = settle_s
-        # Since when (s) size and time of a file have stood still; None once it is taken.
+        # When (monotonic s) size and time of a file were first as now; None once it is taken.
         self._known: dict[str, tuple[FileStat, float | None]] = {}
         self._is_listable = True
         self._warnings: set[str] = set()
@@ -329,13 +329,13 @@ class Inbox:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no file is on its way."""
+        """Whether no file is still being written."""
         return all(since is None for _, since in self._known.values())
 
     def take_complete(self) -> list[DiscoveredInput]:
-        """The files that have become complete, in the order of their times of change.
+        """The files that have become complete, in the order of their modification times.
 
-        Empty, and quick, between two listings.
+        Between two listings it returns an empty list at once.
         """
         now = time.monotonic()
         if now < self._next_listing:
@@ -346,7 +346,7 @@ class Inbox:
         for file in files:
             stat = FileStat.of(file.path)
             name = os.path.basename(file.path).lower()
-            # Programs give such names to files that they still write.
+            # Programs give such names to files that they are still writing.
             if stat is None or name.startswith("~") or name.endswith(_UNFINISHED_ENDS):
                 continue
             before, since = self._known.get(file.path, (None, now))
@@ -356,7 +356,7 @@ class Inbox:
                 complete.append((stat.mtime_ns, file))
                 since = None
             known[file.path] = stat, since
-        # A folder that is away may come back with its files.
+        # A folder that cannot be listed now may come back with its files.
         self._known = known if self._is_listable else self._known | known
         wait_s = min(_LISTED_EVERY_S, max(self._settle_s, 0.1))
         spent = time.monotonic() - now
@@ -368,7 +368,7 @@ class Inbox:
         unlisted: list[MsalError] = []
 
         def warn(words: str) -> None:
-            """Log what the listing before this one did not say."""
+            """Log a warning that the previous listing did not give."""
             self._warnings.add(words)
             if words not in earlier:
                 _log.warning("%s", words)
