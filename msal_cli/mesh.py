@@ -46,8 +46,7 @@ _LANES = 64
 """Vertices in a row of the array that ``bounds`` reduces."""
 
 LARGEST_EXTENT = 1e60
-"""File units.  Much beyond it fourth powers of lengths overflow, and below its reciprocal they
-underflow."""
+"""File units.  Fourth powers of lengths much beyond it overflow, below its reciprocal underflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +72,8 @@ class Mesh:
         return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
-        """Unit vertex normals (n, 3), averaged over the one-ring ``mollify`` times; zeros where a
-        vertex has no normal.
+        """Unit vertex normals (n, 3), averaged over the one-ring ``mollify`` times; zeros for no
+        normal.
 
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  The
         array is computed once and shared: do not write to it.

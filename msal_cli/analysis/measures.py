@@ -23,8 +23,8 @@ FLAT = 1e-9
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Mean, root mean square, 95th percentile and maximum of distances, file units, and the number
-    of non-zero ones."""
+    """Mean, root mean square, 95th percentile and maximum of distances, file units, and how many
+    are not 0."""
 
     mean: float
     rms: float
@@ -48,8 +48,8 @@ def distance_statistics(lengths: Floats) -> DistanceStatistics:
 
 
 def displacement(before: Mesh, after: Mesh) -> DistanceStatistics:
-    """Distances between corresponding vertices of two meshes with the same faces; vertices that no
-    face uses do not count."""
+    """Distances between corresponding vertices of two meshes with the same faces, without unused
+    vertices."""
     lengths, is_used = geometry.distances(before.vertices, after.vertices), before.topology.has_ring
     return distance_statistics(lengths if is_used.all() else lengths[is_used])
 
@@ -136,8 +136,7 @@ def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     """Area in squared and signed volume in cubed file units (Desbrun et al. 1999).
 
     The volume is well defined only if the surface is closed, manifold and consistently wound; for
-    an open surface it depends on the mesh's local origin.  It is negative if the surface is inside
-    out.
+    an open surface it depends on the mesh's local origin.  It is negative if normals point inwards.
     """
     return geometry.area_and_volume(mesh.vertices, mesh.faces)
 
@@ -169,8 +168,7 @@ def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
 
 
 def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
-    """Heights (n,) averaged ``rings`` times over closed one-rings and scaled to a root mean square
-    of 1.
+    """Heights (n,) averaged ``rings`` times over closed one-rings, then scaled to unit variance.
 
     They are then correlated: on a regular triangle grid the correlation with a neighbour is 0.57
     after one average and 0.78 after two.  With 0 rings the heights are returned unchanged.
@@ -194,8 +192,7 @@ def count_self_intersections(mesh: Mesh) -> int:
 
 
 def self_intersection_change(before: Mesh, after: Mesh) -> tuple[int, int, int]:
-    """The numbers of intersecting pairs before and after, and of those that are new; both meshes
-    have the same faces."""
+    """The numbers of intersecting pairs before and after, and of new ones, for the same faces."""
     keys = _intersection_keys(before)
     if np.array_equal(before.vertices, after.vertices):
         return len(keys), len(keys), 0
@@ -230,8 +227,8 @@ SAMPLED_POINTS = 1_000_000
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
-    """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
-    units, both (n,)."""
+    """The nearest triangle of ``surface`` to each point (n, 3), and its distance, file units, (n,)
+    each."""
     from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(surface.vertices).max()))
@@ -471,8 +468,8 @@ class Harm:
 def harmful_change(
     before: Mesh, after: Mesh, change: SurfaceChange, *, has_volume: bool
 ) -> Harm | None:
-    """The change between two meshes with the same faces if it is harmful at any level of noise;
-    None if it is not.
+    """The change between two meshes with the same faces if it is harm at any level of noise, or
+    None.
 
     Parameters
     ----------

@@ -32,8 +32,8 @@ BOUND = 1.3
 
 USUAL, STEP, MAX_STEPS = 0.0005, 0.17, 0.8
 """The more outliers there are, the more likely a vertex is one: the bound is reduced by ``STEP``
-times the logarithm of their share of the vertices over ``USUAL``, by ``MAX_STEPS`` at most, unless
-they may be noise."""
+times the logarithm of their share over ``USUAL``, by ``MAX_STEPS`` at most, unless they may be
+noise."""
 
 MAX_PASSES = 12
 """Adjacent spikes mask one another, so each pass takes only those with locally maximal scores."""
@@ -76,8 +76,7 @@ class Outliers:
 
     flags: Flags  # (n,) whether each vertex is an outlier
     vertices: Floats  # (n, 3) positions with the outliers projected, all others unchanged
-    # whether the outliers should be projected by default: they stand out from the noise, and are no
-    # points of a design
+    # whether to project the outliers by default: they exceed the noise and are no design
     are_clear: bool
     # share of the vertices, 0 to 1, that seemed to be outliers; above ``MAX_SHARE`` none is flagged
     share: float
@@ -180,8 +179,7 @@ class _Search:
 
     def _are_off_noise(self, are_certain: bool, share: float) -> bool:
         """Whether the outliers are displaced much farther than the noise of the other vertices.  If
-        none is certain, there must also be noise, and more outliers than noise alone seems to
-        have."""
+        none is certain, there must be noise, and more outliers than it has by itself."""
         if (not are_certain and share <= USUAL) or self._are_in_noise(share):
             return False
         after = self._noise()

@@ -44,8 +44,7 @@ def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) ->
     vertices = np.flatnonzero(point_of_vertex >= 0)
     points = point_of_vertex[vertices].astype(np.int32)
     positions = np.empty((n_points, 3))
-    # In reverse order, so that the first of coinciding vertices is assigned last: its zeros may
-    # have other signs.
+    # In reverse, so that the first of coinciding vertices is assigned last: signs of 0 may differ.
     positions[points[::-1]] = file_vertices[vertices[::-1]]
     corner_points = point_of_vertex[file_faces.reshape(-1)]
     is_at_point = np.flatnonzero(corner_points >= 0)

@@ -1,9 +1,9 @@
-"""Choosing method and parameters for one mesh: what the plain command and ``--auto`` do.
+"""The choice of method and parameters for one mesh: the plain command and ``--auto``.
 
-``adaptive`` chooses parameters of AL and MSAL, ``search`` among all methods and their mixtures.
+``adaptive`` chooses parameters of AL and MSAL, ``search`` among all methods and their blends.
 
-A choice depends on the mesh and the wishes alone, never on clocks, threads or other files, so that
-the same file comes out the same everywhere.
+A choice depends only on the mesh and the wishes, not on clocks, threads or other files, so that a
+file has the same result everywhere.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
 
 OnStep = Callable[[int, int], None]
-"""Called as ``on_step(done, total)`` while candidates are looked at."""
+"""Called as ``on_step(done, total)`` while candidates run."""
 
 NONE = "none"
-"""In place of a method: the mesh stays as it is."""
+"""The name in place of a method if the mesh is not changed."""
 
 SECONDS = 1.2, 22.0
-"""Seconds of one core that a choice among all methods takes with its result, for any mesh and for a
-million vertices; fitted to the sample meshes and to benchmarks/auto_seconds.py."""
+"""Seconds on one core that a choice among all methods and its result take: for any mesh, and in
+addition per million vertices; fitted to the sample meshes and to benchmarks/auto_seconds.py."""
 
 FAMILY, ALL = "family", "all"
-"""Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
+"""What was chosen from: AL and MSAL with the schedules of equation (2), or all methods."""
 
 METHODS = (
     "al",
@@ -42,46 +42,46 @@ METHODS = (
     "wiener",
     "windowed_sinc",
 )
-"""The methods that are ever chosen: memory is reserved for the one that needs most."""
+"""The methods that can be chosen: memory is reserved for the one that needs most."""
 
 LARGEST_OF_FAMILY = {"schedule": "wiener"}
-"""Parameters of ``al`` that take the most memory of all in the family."""
+"""Parameters of ``al`` that need the most memory in the family."""
 
 FAMILY_BYTES = 20_000_000
-"""The same as ``BYTES`` for a choice within the family."""
+"""As ``BYTES``, for a choice within the family."""
 
 BYTES = 25_000_000
-"""Memory that choosing takes at most beyond what methods do, however large the mesh is: candidates
-run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
+"""Memory that a choice needs beyond that of methods, for meshes of any size, because candidates run
+on a part.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
 LESS, KEEP_TEXTURE = 0.2, 0.9
-"""By how much less each step of ``Wishes.strength`` below 0 moves vertices, in parts of the choice;
-and the share of it that keeps texture."""
+"""The reduction of displacements, as a share of the choice, for each step of ``Wishes.strength``
+below 0; and the share of the choice that is applied to keep texture."""
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the user asks for."""
+    """The user's preferences."""
 
-    # ``balanced``, ``positions``, ``normals`` or ``volume``: what is to be most accurate
+    # what should be most accurate: ``balanced``, ``positions``, ``normals`` or ``volume``
     prefer: str = "balanced"
-    # ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said
+    # what to preserve: ``texture``, ``edges`` or ``shape``; None for no preference
     keep: str | None = None
-    strength: float = 0.0  # -2 to 2, around the automatic choice: greater is smoother
-    # ``noise`` or ``texture``, what the roughness of a mesh is where the estimate is unsure of it;
-    # None for a choice that is not much worse either way
+    strength: float = 0.0  # -2 to 2, relative to the automatic choice: greater is smoother
+    # what the roughness of a mesh is if the estimate is unsure: ``noise`` or ``texture``; None for
+    # a choice that limits the error in both cases
     assume: str | None = None
 
     @property
     def share(self) -> float:
-        """How much of a choice without them is asked for, above 0 to 1."""
+        """The share of the displacements of the automatic choice that is applied, above 0 to 1."""
         share = 1.0 + LESS * min(self.strength, 0.0)
         return share * (KEEP_TEXTURE if self.keep == "texture" else 1.0)
 
     @property
     def weaker(self) -> Wishes | None:
-        """Wishes for the next lesser smoothing; None where no more is asked for than without."""
+        """The wishes with one step less smoothing; None if they ask for no additional smoothing."""
         if self.keep == "shape":
             return dataclasses.replace(self, keep=None)
         if self.strength > 0.0:
@@ -91,19 +91,19 @@ class Wishes:
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for a mesh, and why."""
+    """The method and parameters for a mesh, and the reason."""
 
     method: str  # name of a method, or ``NONE``
     parameters: dict[str, Any]  # all of its parameters; empty for ``NONE``
-    reason: str  # a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``
-    # ``machined``, ``organic``, ``textured`` or ``clean``; None where it was not looked at
+    reason: str  # in words, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``
+    # ``machined``, ``organic``, ``textured`` or ``clean``; None if it was not classified
     surface: str | None
-    noise: NoiseLevel  # the noise that it was made for
+    noise: NoiseLevel  # the noise that the choice is for
     # estimated error of the result, mean edge lengths; None if nothing was estimated
     risk: float | None = None
-    tried: int = 0  # candidates that were looked at
-    # label and risk of the next best, best first, at most 3
+    tried: int = 0  # number of candidates that were compared
+    # labels and risks of the next best candidates, best first
     runners_up: tuple[tuple[str, float], ...] = ()
     among: str = ALL  # ``ALL`` or ``FAMILY``
-    # the estimated noise where nothing was assumed of it; None where that is ``noise``
+    # the estimate before ``Wishes.assume`` was applied to it; None if it is the same as ``noise``
     estimate: NoiseLevel | None = None

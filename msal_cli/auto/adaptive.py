@@ -1,18 +1,20 @@
-"""The plain command's choice: parameters within the family of equation (2), for each mesh.
+"""The choice of the plain command: parameters within the family of equation (2), for each mesh.
 
-AL and MSAL with their Wiener and robust schedules are fast, and between them they suit every level
-of noise.  On the noisy meshes of known truth in benchmarks/ground_truth.py AL with the Wiener
+AL and MSAL with their Wiener and robust schedules are fast, and between them they suit each level
+of noise.  On the noisy meshes with ground truth in benchmarks/ground_truth.py, AL with the Wiener
 schedule is closer to the truth than any single setting of AL or MSAL, in angles and in positions;
-where texture is as fine as the mesh, the others do better.  Noise that neighbours share, terraces
-and spikes are out of their reach, and linear filters join in.  So a few candidates run on a part of
-the mesh, and the one is taken that is nearest to what the learned filter makes of the part: that
-takes too long for the whole mesh, but is nearer to the truth than all of them.  Where it is rough
-all over under noise that is not white, the mildest linear filter counts as much.  Weak noise of an
-unknown kind, or shared by direct neighbours, looks like fine relief: there only settings that pull
-to the scan are tried, since linear filters would shrink thin parts by more than the noise.
+where texture is as fine as the mesh, the others are better.  Correlated noise, terraces and spikes
+need linear filters, which are candidates too.
 
-Where there is certainly no noise the mesh stays as it is.  Where the estimate cannot tell noise
-from texture, the setting and the share of it are taken whose error is least in the worse case.
+So a few candidates run on a part of the mesh, and the one nearest to the result of the learned
+filter is chosen.  That filter is nearer to the truth than all of them, but too slow for the whole
+mesh.  On textured surfaces with noise that is not white, the mean of its result and that of the
+mildest linear filter is the reference.  Weak noise that is of an unknown kind, or correlated over
+one ring, looks like fine relief: then only settings with a data term are candidates, since linear
+filters would shrink thin parts by more than the noise.
+
+If there is certainly no noise the mesh is not changed.  If the estimate cannot tell noise from
+texture, the setting and its share are chosen for the smallest error in the worse case.
 """
 
 import dataclasses
@@ -30,57 +32,55 @@ from msal_cli.auto.sample_patch import MACHINED, TEXTURED, select_patch, surface
 from msal_cli.mesh import Mesh
 
 PART = 4_000
-"""Vertices that candidates run on."""
+"""Vertices of the part that candidates run on."""
 
 ROBUST_MSAL = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
 
 SINGLE_SWEEP = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
 
 MAX_COST, SMALL = 2.5, 100_000
-"""Cost up to which a linear filter is for meshes of any size, and vertices up to which all are: a
-run of the command takes longer to start than they take."""
+"""Largest cost of linear filters for meshes of any size, and number of vertices up to which all of
+them are candidates, because starting the command takes longer."""
 
 WEAK = 0.15
-"""Mean edge lengths of noise below which linear filters need a kind of noise that relief is not.
-On statues with 0.05 to 0.1 of noise they moved thin parts by 0.1 to 0.3."""
+"""Level of noise, mean edge lengths, below which linear filters need a kind of noise that cannot be
+relief.  On statues with noise of 0.05 to 0.1 they moved thin parts by 0.1 to 0.3."""
 
 MARGIN = 0.15
-"""By how much less the logarithms of the squared errors of another candidate have to be than those
-of the usual one where noise is drawn: the learned filter smooths relief, as linear ones do."""
+"""Under white or isotropic noise the score of AL with the Wiener schedule is reduced by this,
+because the learned filter smooths relief, as linear ones do, and so favours them."""
 
 TILTS = 0.8
-"""How much of the score are angles: the normals of the learned filter are nearer to the truth than
-its positions, which keep what neighbours share.  On the scans of benchmarks/choices.py angles fell
-by 1.6 % for those it was chosen on, by 1 % for the others."""
+"""Weight of angles in the score; positions have the rest.  The normals of the learned filter are
+nearer to the truth than its positions, which keep correlated noise.  Angles fell by 1.6 % on the
+scans of benchmarks/choices.py on which the weight was chosen, and by 1 % on the others."""
 
 MILD = 3
-"""How many of the linear filters are tried on white noise: wider ones blur.  Where triangles were
-evened out there is one more: where it is taken, under isotropic noise of 0.2, 0.25 and 0.35 on the
-meshes of benchmarks/ground_truth.py and 25 foreign ones, angles are less by 13, 16 and 24 %, vertex
-errors greater by 8, 1 and -1 %."""
+"""Number of linear filters that are candidates under white noise; wider ones blur.  If triangles
+were relaxed there is one more.  Where that one is chosen, under isotropic noise of 0.2, 0.25 and
+0.35 on the meshes of benchmarks/ground_truth.py and 25 foreign ones, angles are smaller by 13, 16
+and 24 %, and vertex errors greater by 8, 1 and -1 %."""
 
 ALONG_NORMALS = ("white", "uneven", "impulsive")
-"""Kinds of noise under which linear filters do not slide: on the eleven models of
-benchmarks/scanner_cases.py vertex errors are less by 14 to 27 % then, angles by 1 to 2 %, and
-distances to the surface greater by 1 to 3 %.  Under isotropic noise and noise at grazing angles
-angles would be greater by 39 and 75 %, under other noise along the view by 2 to 5 %.  Candidates
-are compared as they slide: else Taubin's filter was taken for 5.9 degrees on a bunny where AL with
-the Wiener schedule has 5.3."""
+"""Kinds of noise under which the tangential displacements (sliding) of linear filters are removed.
+On the eleven models of benchmarks/scanner_cases.py vertex errors are then smaller by 14 to 27 %,
+angles by 1 to 2 %, and distances to the surface greater by 1 to 3 %.  Under isotropic noise and
+noise at grazing angles angles would be greater by 39 and 75 %, under other noise along the view by
+2 to 5 %.  Candidates are compared with their sliding: without it Taubin's filter was chosen on a
+bunny, with an angle of 5.9 degrees, where AL with the Wiener schedule has 5.3."""
 
 STRONG = 0.25
-"""Mean edge lengths of noise from which ``--auto`` comes much nearer to the truth on any
-surface."""
+"""Level of noise, mean edge lengths, from which ``--auto`` is much better on any surface."""
 
 
 BALANCED = Wishes()
-"""No wish."""
 
 
 def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = BALANCED) -> Choice:
-    """Parameters for ``mesh`` within the family of equation (2), or none.
+    """Choose parameters for ``mesh`` within the family of equation (2), or no change.
 
-    The choice depends on the mesh and the ``wishes`` alone; of these ``assume``, ``strength`` and
-    ``keep`` texture count.
+    The choice depends only on the mesh and on ``assume``, ``strength`` and ``keep`` of the
+    ``wishes``; of ``keep`` only texture has an effect.
     """
     step = on_step or (lambda done, total: None)
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
@@ -98,14 +98,14 @@ def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = 
 def _choose_by_risk(
     mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: bool, wishes: Wishes
 ) -> Choice:
-    """The setting with the least estimated error, or the share of one that has it in the worse case
-    where it ``is_unsure`` that there is noise."""
+    """The setting with the smallest estimated error; if it ``is_unsure`` that there is noise, the
+    setting and its share with the smallest error in the worse case."""
     case = build_case(mesh, noise)
     edge, normals = case.mesh.mean_edge_length, None
     if case.model.axis is not None:
         normals = mesh.vertex_normals("uniform", 1)
     height = case.model.height(mesh.topology.has_ring, normals)
-    # Along the normals, at the loudest places, in edges of the mesh that the method gets.
+    # The level along the normals, of the noisiest regions, in edges of the relaxed mesh.
     loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
     evened = case.mesh.vertices - mesh.vertices
     level, given, mesh = max(height, loudest) / edge, mesh, case.mesh
@@ -157,7 +157,7 @@ def _choose_by_risk(
         scores = 2.0 * ((1.0 - TILTS) * places + TILTS * tilts)
         if is_drawn:
             scores[0] -= MARGIN
-        # What is farther from the truth than the input, in either measure, would be harm.
+        # A result farther from the reference than the input, in either measure, is harmful.
         scores[np.maximum(places, tilts) > 0.0] = np.inf
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
@@ -189,16 +189,15 @@ def _choose_by_risk(
 
 
 def _undo_sliding(chosen: Candidate, noise: NoiseLevel) -> Candidate:
-    """What was chosen, without the sliding of a linear filter where the noise is along normals."""
+    """The candidate, for a linear filter without its sliding if the noise is along the normals."""
     if chosen not in LINEAR or noise.character.kind not in ALONG_NORMALS:
         return chosen
     return dataclasses.replace(chosen, given={**chosen.given, "sliding": "undone"})
 
 
 def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
-    """Seconds of one core that ``--auto`` takes where it comes much nearer to the truth than a
-    choice within the family: by a half and more on machined parts and under strong noise.  None
-    elsewhere."""
+    """Seconds on one core of ``--auto`` if it comes much nearer to the truth than a choice within
+    the family, by half and more: on machined parts and under strong noise.  None in other cases."""
     if choice.method == NONE or (choice.estimate is not None and choice.estimate.is_unsure):
         return None
     if choice.surface != MACHINED and choice.noise.mean_edges < STRONG:
@@ -210,8 +209,8 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
 def _weigh_by_level(
     case: Case, runs: CandidateRuns, candidates: list[Candidate], true: Mesh
 ) -> Floats:
-    """How much of every setting is best at each level of local noise if ``true`` is the surface,
-    and all of it where there is most: weights (levels, k)."""
+    """Weights (levels, k): the best share of each setting at each level of local noise if ``true``
+    is the surface, and 1 at the highest level."""
     rows = np.ones((len(case.levels), len(candidates)))
     masks = blends.level_masks(runs.part, case.local, case.levels)
     for row, judged in zip(rows[:-1], masks[:-1], strict=True):
@@ -225,8 +224,8 @@ def _weigh_by_level(
 def _candidates(
     case: Case, level: float, noise: NoiseLevel, is_unsure: bool, is_drawn: bool
 ) -> list[Candidate]:
-    """What is tried for noise of ``level`` mean edge lengths, the usual one first; with trust, and
-    where weak noise may be relief, only what has a data term."""
+    """The candidates for noise of ``level`` mean edge lengths, the default one first.  With trust,
+    and where weak noise may be relief, only those with a data term."""
     mesh = case.mesh
     found = [wiener_al(level, case.model.rings), ROBUST_MSAL]
     is_like_relief = noise.character.kind == "unknown" or noise.character.rings == 1
@@ -240,6 +239,6 @@ def _candidates(
 
 
 def _linear(mesh: Mesh, number: int | None = None) -> list[Candidate]:
-    """The first ``number`` of the linear filters, without those that take too long for ``mesh``."""
+    """The first ``number`` of the linear filters, without those that are too slow for ``mesh``."""
     is_small = len(mesh.vertices) <= SMALL
     return [candidate for candidate in LINEAR[:number] if is_small or candidate.cost <= MAX_COST]

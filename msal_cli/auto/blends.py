@@ -1,13 +1,12 @@
-"""Blends: the weights whose estimated error is least, the levels of noise that they follow, blends
-as methods with parameters and sentences, milder and stronger ones; what they are chosen for.
+"""Blends of candidates: the weights with the smallest estimated error, weights by local level of
+noise, blends as methods with parameters and labels, and weaker and stronger ones.
 
-A mesh with hardly any noise is left as it is.  An explicit wish counts all the same: more smoothing
-than the automatic choice means some smoothing, by the mildest setting for the upper end of the
-noise's interval.  A wish that does not mean smoothing gets a reason, and the option that smooths
-in spite of it.
+A mesh with hardly any noise is not changed, unless more smoothing than the automatic choice is
+requested: then it gets some, by the mildest setting for the upper end of the noise's interval.  For
+other wishes the reason names the option that smooths nevertheless.
 
-Less than a choice is a share of what it moves, which moves less and keeps more by construction.
-More is a stronger filter, mixed in until vertices move farther.
+Less smoothing than the choice is a share of its displacements, which moves less and keeps more by
+construction.  For more, a stronger filter is mixed in until vertices move farther.
 """
 
 import dataclasses
@@ -29,32 +28,32 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
 
 FLOOR = 0.02
-"""Estimated errors below this share of the input's count as equal: they are mostly scatter."""
+"""Estimated errors below this share of the input's count as equal, because they scatter as much."""
 
 ROUNDS = 8
-"""Rounds in which the shares of places and slopes follow the errors that are reached."""
+"""Iterations that update the weights of positions and slopes by the errors reached."""
 
 RIDGE = 1e-4
-"""Added to squared weights: filters that do nearly the same share a weight."""
+"""Regularization of the weights, by which nearly equal filters share a weight."""
 
 TOLERANCE = 1e-9
-"""Of gradients, by which a weight is let in."""
+"""Difference of gradients above which a weight enters the active set."""
 
 
 def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Floats:
-    """Weights (k,) >= 0 of sum <= 1 for the k filters; what is left belongs to the input.
+    """Weights (k,) >= 0 with sum <= 1 of the k filters; the rest is the weight of the input.
 
-    What is least is the sum over ``risks`` of
+    They minimize the sum over ``risks`` of
 
         (1 - slopes) log(error of positions) + slopes log(error of slopes)
 
-    so that a tenth off either counts alike however large they are.  It is found as a chain of
-    quadratic problems, each with the shares 1 / error of the one before.
+    so that equal relative changes of either count equally.  The minimum is found by a sequence of
+    quadratic problems, each weighted by 1 / error of the previous one.
 
     Parameters
     ----------
-    slopes : 0 to 1, how much slopes count beside positions.
-    drift : how much the squared mean move of the surface counts, in parts of the positions' error.
+    slopes : 0 to 1, the weight of slopes; positions have the rest.
+    drift : weight of the squared mean displacement of the surface, over the error of positions.
     """
     count = len(risks[0].drift)
     shares = [(1.0 - slopes, slopes)] * len(risks)
@@ -80,11 +79,12 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
 
 
 def hedge(gain: float, moved: float) -> float:
-    """The share of a result that is not much worse whether it removes noise or texture, 0 to 1.
+    """The share of a blend, 0 to 1, with the smallest error in the worse case, noise or texture.
 
-    In parts of the squared noise, a share s of a blend with ``gain`` w'b and ``moved`` w'Mw has the
+    In units of the squared noise, a share s of a blend with ``gain`` w'b and ``moved`` w'Mw has the
     squared error s^2 w'Mw if all that it removes is texture, and 1 - 2 s w'b + s^2 w'Mw if it is
-    noise.  The larger of both is least; of a filter that removes noise and nothing else a half.
+    noise.  The larger of both is minimized; for a filter that removes noise and nothing else s is
+    1/2.
     """
     if gain <= 0.0 or moved <= 0.0:
         return 0.0
@@ -92,13 +92,13 @@ def hedge(gain: float, moved: float) -> float:
 
 
 def least_over_simplex(gram: Floats, gain: Floats) -> Floats:
-    """The w (k,) with w >= 0 and sum(w) <= 1 for which w'Mw - 2 w'b is least; M positive definite.
+    """The w (k,) with w >= 0 and sum(w) <= 1 that minimizes w'Mw - 2 w'b; M is positive definite.
 
-    An active set: weights enter one by one where that helps most, and leave where they would
-    become negative.
+    An active set method: weights enter one by one where the gradient is steepest, and leave when
+    they would become negative.
     """
     count = len(gain)
-    # The input is one more filter, which does nothing: then the sum is 1.
+    # The input is one more filter with zero displacements, so that the sum of all weights is 1.
     matrix = np.zeros((count + 1, count + 1))
     matrix[:count, :count] = gram
     vector = np.append(gain, 0.0)
@@ -130,12 +130,12 @@ def least_over_simplex(gram: Floats, gain: Floats) -> Floats:
 
 
 def _least_on(matrix: Floats, vector: Floats, inside: Sequence[int]) -> Floats:
-    """The least where only ``inside`` may differ from zero, and adds up to 1, signs aside."""
+    """The minimum with sum 1 where only the weights ``inside`` may differ from 0, of any sign."""
     rows = np.array(inside)
     n = len(rows)
     system = np.zeros((n + 1, n + 1))
     system[:n, :n] = matrix[np.ix_(rows, rows)]
-    # The input's row is empty; this keeps the system regular.
+    # The row of the input is zero; this keeps the system regular.
     system[np.arange(n), np.arange(n)] += 1e-12
     system[:n, n] = 1.0
     system[n, :n] = 1.0
@@ -144,36 +144,35 @@ def _least_on(matrix: Floats, vector: Floats, inside: Sequence[int]) -> Floats:
 
 
 def round_weights(weights: Floats, steps: int = 100) -> Floats:
-    """The same in whole hundredths, with the sum that the sum itself rounds to.
+    """The weights rounded to 1 / ``steps``, with the rounded sum of all.
 
-    What is written down is short, and last digits of the arithmetic do not show in it: parts of a
-    step are compared in millionths.
+    Recipes are then short and free of rounding errors: remainders are compared in millionths.
     """
     exact = np.round(weights * steps, 6)
     parts = np.floor(exact)
     missing = round(round(float(weights.sum()) * steps, 6)) - int(parts.sum())
-    # The largest remainders first; equal ones in order.
+    # The largest remainders first; equal ones in their order.
     order = np.argsort(np.round(parts - exact, 6), kind="stable")
     parts[order[: max(missing, 0)]] += 1
     hundredths: Floats = parts / steps
     return hundredths
 
 
-# Levels of local noise for which a blend has weights of their own
+# Levels of local noise, each with its own weights
 
 
 QUANTILES = (0.1, 0.5, 0.9)
-"""Of local levels, for which weights are chosen."""
+"""Quantiles of the local levels that have their own weights."""
 
 MIN_RATIO, MIN_GAP = 1.25, 0.01
-"""By how much they have to differ, as a ratio and in mean edge lengths."""
+"""Smallest ratio of consecutive levels, and smallest additional difference in mean edge lengths."""
 
 MIN_JUDGED = 200
-"""Vertices that a level of local noise needs for weights of its own."""
+"""Vertices that a level of local noise needs to have its own weights."""
 
 
 def spread_levels(local: Floats) -> tuple[float, ...]:
-    """Levels of local noise (n,) for quiet, usual and loud places; none if they differ little."""
+    """Levels of quiet, usual and noisy regions by local levels (n,); empty if nearly equal."""
     found: list[float] = []
     for level in np.quantile(local, QUANTILES).tolist():
         if not found or level > MIN_RATIO * found[-1] + MIN_GAP:
@@ -182,8 +181,8 @@ def spread_levels(local: Floats) -> tuple[float, ...]:
 
 
 def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flags]:
-    """Which vertices (m,) of a part are judged for each of the levels: those whose local noise,
-    ``local`` (n,) over the whole mesh, is nearest to it."""
+    """For each level the vertices (m,) of a part that are evaluated for it: those whose local
+    level, ``local`` (n,) over the whole mesh, is nearest to it."""
     own = local if part.numbers is None else local[part.numbers]
     nearest = np.abs(own[:, None] - np.array(levels)).argmin(axis=1)
     return [part.judged & (nearest == level) for level in range(len(levels))]
@@ -196,23 +195,23 @@ def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flag
 class Case:
     """A mesh as methods get it, and the noise on it."""
 
-    mesh: Mesh  # with its triangles evened out by ``relax`` passes, for noise in all directions
-    model: NoiseModel  # the noise; that along the normals counts
-    # local, levels: local noise (n,), and levels of it that get weights of their own; empty where
-    # the noise is the same everywhere
+    mesh: Mesh  # with its triangles relaxed by ``relax`` passes, for isotropic noise
+    model: NoiseModel  # the noise, along the normals or an axis
+    # local, levels: local level of noise (n,), and levels with their own weights, empty for uniform
+    # noise
     local: Floats
     levels: tuple[float, ...]
     relax: int
 
 
 def build_case(mesh: Mesh, noise: NoiseLevel) -> Case:
-    """What is known of a mesh before candidates run on it."""
+    """The case for a mesh: its noise model, relaxed triangles and local levels."""
     model = build_model(mesh, noise)
     relax, local = 0, np.empty(0)
     levels: tuple[float, ...] = ()
     # Trust scales the pull of one method, not a blend.
     if mesh.trust is None:
-        # Jagged triangles first, and what is left of the noise is along the normals.
+        # Relaxing the triangles removes tangential noise; the rest is along the normals.
         relax = count_relaxing(mesh, model)
         if model.shares is not None:
             local = local_levels(mesh)
@@ -224,32 +223,32 @@ def build_case(mesh: Mesh, noise: NoiseLevel) -> Case:
 
 
 PLAIN = ("none", "white", "impulsive", "unknown")
-"""Kinds of noise that need no words beside the level."""
+"""Kinds of noise that are described by the level alone."""
 
 MIN_NOISE = 0.05
-"""Mean edge lengths: noise that a mesh is smoothed for at least, where smoothing is asked for."""
+"""Smallest level of noise, mean edge lengths, for which a mesh is smoothed on request."""
 
 STRENGTH = 1.2
 """Factor of the assumed noise for each step of ``Wishes.strength``."""
 
 SHAPE = 1.25
-"""The same where the smooth shape is to be kept."""
+"""Factor of the assumed noise if the smooth shape is to be kept."""
 
 
 SURE_LINE = 0.95
-"""Confidence in noise along an axis from which vertices stay on lines along it: most scans along
-the view have more, and a raw scan with white noise on top, which goes farther off by it, 0.90."""
+"""Confidence in noise along an axis from which vertices move only along it: most scans along the
+view have more; a raw scan with white noise, where it does harm, has 0.90."""
 
 
 def find_line(noise: NoiseLevel) -> tuple[float, float, float] | None:
-    """The direction that the noise is surely along; None where it is along none."""
+    """The axis of the noise; None if there is none, or its confidence is low."""
     character = noise.character
     return character.axis if character.confidence >= SURE_LINE else None
 
 
 def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
-    """Such as ``noise 0.21 e, shared over two rings``; where it ``is_unsure`` whether there is any,
-    ``noise of 0.08 e or texture``."""
+    """The noise in words, such as ``noise 0.21 e, shared over two rings``; if it ``is_unsure``
+    whether there is any, ``noise of 0.08 e or texture``."""
     if is_unsure:
         return f"noise of {noise.mean_edges:.2g} e or texture"
     if noise.is_impulsive:
@@ -261,8 +260,8 @@ def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
 
 
 def describe_rest(estimate: NoiseLevel, noise: NoiseLevel) -> str:
-    """What there is where ``noise``, the ``estimate`` or what was assumed instead, is negligible:
-    ``noise 0 e; clean``."""
+    """The reason in words for negligible ``noise``, which is the ``estimate`` or was assumed
+    instead: ``noise 0 e; clean``."""
     if noise is estimate and estimate.is_unsure:
         most = max(reading.level for reading in estimate.readings)
         return f"noise of {most:.2g} e or texture"
@@ -279,14 +278,14 @@ def build_recipe(
     share: float = 1.0,
     line: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], str]:
-    """The blend of ``members`` by weights (k,), in hundredths, the largest first: a method, or
+    """The blend of ``members`` by weights (k,) in hundredths, the largest first, as a method or
     ``NONE``, all of its parameters, and its label.
 
     ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
-    ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
-    passes even out the triangles before, ``share`` how much of the way to the result is gone, and
-    ``line`` the direction in which vertices move; see the method ``blend``.  One member of weight 1
-    is its method alone, and no weight at all is ``NONE``.
+    ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is the number
+    of passes that relax the triangles first, ``share`` the part of the displacements that is
+    applied, and ``line`` the direction along which vertices move; see the method ``blend``.  A
+    single member of weight 1 becomes its method alone, and zero weights become ``NONE``.
     """
     rows = np.atleast_2d(weights)
     largest = rows.max(axis=0)
@@ -328,15 +327,15 @@ def build_recipe(
 
 
 def _percent(weights: Floats) -> str:
-    """One weight as 40%, more of them as 0/20/60%."""
+    """Equal weights as 40%, others as 0/20/60%."""
     if (weights == weights[0]).all():
         return f"{weights[0]:.0%}"
     return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"
 
 
 def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | None) -> Choice:
-    """The choice for a mesh that every filter would harm: it stays as it is, unless the ``wishes``
-    are for more smoothing.  ``what`` begins the reason, such as ``noise 0 e; clean``."""
+    """The choice for a mesh that each filter would harm: no change, unless the ``wishes`` are for
+    more smoothing.  ``what`` begins the reason, such as ``noise 0 e; clean``."""
     if wishes.strength <= 0.0 and wishes.keep != "shape":
         is_less = wishes.strength < 0.0 or wishes.keep == "texture"
         is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
@@ -355,35 +354,36 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | No
     )
 
 
-# More than the choice.  The choice is made once, without the wish.  What is mixed in is weighed by
-# what the mixture moves, so that more strength moves vertices farther, whatever the filters do.
+# More smoothing than the choice.  The choice is made once, without the wish.  The weight of the
+# filter that is mixed in is found by the displacements of the mixture, so more strength moves
+# vertices farther.
 
 MORE = 0.03
-"""By how much farther each step of ``Wishes.strength`` above 0 moves vertices, in parts of the
-choice.  The noise is nearly gone by then, so it is shape and texture that move: three hundredths
-more is what removing a quarter as much again adds."""
+"""Relative increase of the displacements for each step of ``Wishes.strength`` above 0.  Then the
+noise is nearly gone, and 3 % more removes a quarter more of shape and texture."""
 
 STRONGER_TIMES = (1.5, 2.0, 3.0, 5.0, 8.0)
-"""Levels of the noise that AL with the Wiener schedule is given, in parts of the estimate."""
+"""Levels of noise that AL with the Wiener schedule is given, over the estimate."""
 
 
 THOUSANDTHS = 1000
-"""Steps of the weights of such mixtures."""
+"""The weights of such mixtures are multiples of 1 / 1000."""
 
 
 def stronger_candidates(level: float) -> list[Candidate]:
-    """Filters that move vertices farther than any for noise of ``level`` mean edge lengths."""
+    """Filters that move vertices farther than those for noise of ``level`` mean edge lengths."""
     plain = [dataclasses.replace(wiener_al(times * level), times=times) for times in STRONGER_TIMES]
     return [FARTHER, *plain]
 
 
 def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[int, float]:
-    """Which of ``moves``, (m, 3) each, to mix into ``base`` (m, 3), and by which weight, so that
-    vertices move farther by ``MORE`` of ``base`` for each step of ``strength``.
+    """Choose one of ``moves``, (m, 3) each, to mix into ``base`` (m, 3), so that displacements grow
+    by the share ``MORE`` for each step of ``strength``; returns its index and weight.
 
-    Both the mean and the root mean square count.  Of those that reach it, the one that departs
-    least from ``base``.  If none does, the one that moves them farthest, by the weight with which
-    their mean is as far on the way to that; nothing of it where that is not farther than ``base``.
+    Both the mean and the root mean square have to grow.  Of the moves that reach this, the one
+    whose mixture differs least from ``base`` is chosen.  If none does, it is the one with the
+    largest mean, by the weight with which the mean is half of ``strength`` of the way to that, or 0
+    if its mean is not larger than that of ``base``.
     """
     least = _mean_and_rms(base)
     target = (1.0 + MORE * strength) * least
@@ -406,8 +406,8 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
 
 
 def _weight_to_reach(base: Floats, move: Floats, target: Floats) -> float | None:
-    """The least weight of ``move``, a hundredth at least, with which vertices move as far as the
-    ``target``, mean and root mean square (2,); None if they never do."""
+    """The smallest weight of ``move``, in hundredths from 0.01, with which the mean and root mean
+    square of the displacements reach ``target`` (2,); None if no weight does."""
     for percent in range(1, 101):
         weight = 0.01 * percent
         if (_mean_and_rms(base + weight * (move - base)) >= target).all():
@@ -432,11 +432,11 @@ def mix_in_stronger(
     case: Case,
     evened: Floats,
 ) -> tuple[list[Candidate], Floats]:
-    """The ``members`` and their weights (levels, k) with one more of the ``stronger``, so that
-    vertices move as much farther as the ``strength`` asks for.
+    """Add one of the ``stronger`` candidates to the ``members`` and their weights (levels, k), so
+    that vertices move as much farther as the ``strength`` asks for.
 
     ``runs`` are those of the members on a part of the mesh of the ``case``, and ``evened`` (n, 3)
-    is what evening out its triangles moved its vertices by before, file units.
+    are the displacements by relaxing its triangles before, file units.
     """
     if not stronger:
         return list(members), rows

@@ -1,6 +1,6 @@
-"""What is looked at for every mesh: methods and settings, what they cost, and their names.
+"""The candidates: methods and settings, with their costs and labels.
 
-The learned filter is best nearly everywhere; the others have a share in blends on relief and on
+The learned filter is best nearly everywhere; the others contribute to blends on relief and on
 organic shapes of benchmarks/ground_truth.py.
 """
 
@@ -13,28 +13,28 @@ from msal_cli.light_dataclass import dataclass
 
 @dataclass(frozen=True)
 class Candidate:
-    """One method with its settings."""
+    """A method and its settings."""
 
-    # method, given: the method's name, and the parameters that are not at their defaults
+    # method, given: the name of the method, and its parameters without defaults
     method: str
     given: dict[str, Any]
-    # time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on one
-    # core: a fifth more than benchmarks/candidate_costs.py measures, since the vertices of scans
-    # are in worse order than those of its torus
+    # time on one core over that of the filter ``msal`` at its defaults on the same mesh: a fifth
+    # more than benchmarks/candidate_costs.py measures, since the vertices of scans are in worse
+    # order than those of its torus
     cost: float
-    # it has a parameter ``noise``, in mean edge lengths, that it must be given
+    # whether it needs the parameter ``noise``, in mean edge lengths
     takes_noise: bool = False
-    times: float = 1.0  # how many times the noise it is given, to reach farther
+    times: float = 1.0  # factor of the noise that it is given: greater is smoother
 
     def settings(self, noise_edges: float) -> dict[str, Any]:
-        """The parameters for a mesh with that noise, mean edge lengths of the mesh."""
+        """The parameters for a mesh with this noise, mean edge lengths."""
         if not self.takes_noise:
             return dict(self.given)
         return {"noise": round(self.times * noise_edges, 4), **self.given}
 
     @property
     def label(self) -> str:
-        """In words: ``MSAL (K = 0.5, 1 mollification)``."""
+        """Method and settings in words: ``MSAL (K = 0.5, 1 mollification)``."""
         name, words = _LABELS[self.method, self.given.get("schedule")]
         words = re.sub(r"\b1 (\w+)s\b", r"1 \1", words.format(**self.given))
         if self.method == "learned" and "iterations" in self.given:
@@ -44,8 +44,7 @@ class Candidate:
         return f"{name} ({words})" if words else name
 
 
-# By method and schedule: what people call it, and its settings in words, with plurals; one of them
-# is made singular.
+# By method and schedule: its usual name, and its settings, whose plurals are removed after 1.
 _LABELS: dict[tuple[str, Any], tuple[str, str]] = {
     ("al", None): ("AL", "{iterations} sweeps, {mollify} mollifications"),
     ("al", "wiener"): ("AL with Wiener fidelity", "{iterations} sweeps"),
@@ -61,7 +60,7 @@ _LABELS: dict[tuple[str, Any], tuple[str, str]] = {
 
 
 _SLIDING: dict[str, Any] = {"sliding": "auto"}
-"""Vertices that slid along the surface are taken back, where the noise is across it."""
+"""Tangential displacements (sliding) are removed where the noise is along the normals."""
 
 
 def _wiener(caution: float, similarity: float) -> Candidate:
@@ -74,28 +73,28 @@ def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
 
 
 LEARNED = Candidate("learned", dict(_SLIDING), 100.0, takes_noise=True)
-"""The best by itself on nearly every mesh, and alone on machined parts."""
+"""The best single candidate on nearly each mesh, and used alone on machined parts."""
 
 ROBUST_LEARNED = dataclasses.replace(LEARNED, given={**_SLIDING, "texture": "lost"})
-"""The same for noise that is not white, which looks like texture in part."""
+"""The learned filter for noise that is not white, which looks like texture in part."""
 
 BLIND = Candidate("learned", {**_SLIDING, "texture": "lost"}, LEARNED.cost)
-"""The same without a level, which terraces do not have."""
+"""The learned filter for terraces, which have no level."""
 
 FARTHER = dataclasses.replace(ROBUST_LEARNED, times=2.0)
-"""The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
-has smoothed it."""
+"""The learned filter for stronger smoothing, or for more noise than the estimate sees because it is
+correlated or was smoothed by the scanner."""
 
 STAGES, LARGE_STAGES, SHARP_PASSES = 5, 4, 60
-"""Stages of the learned filter on machined parts and on large ones, and its last passes there.  On
-parts of ``training.solids`` under white noise of 0.15 to 0.5 five leave 0.78 to 0.84 of the angle
-that three do, on relief up to 1.08 of it."""
+"""Stages of the learned filter on machined parts and on large ones, and its final vertex passes
+there.  On parts of ``training.solids`` under white noise of 0.15 to 0.5 the angles after five
+stages are 0.78 to 0.84 of those after three, on relief up to 1.08."""
 
 
 def sharpen(candidate: Candidate, stages: int) -> Candidate:
     """The learned filter with more stages, for a machined part.
 
-    What it does before the first stage and after the last one takes as long as two of them.
+    The work before the first stage and after the last one takes as long as two stages.
     """
     given = {**candidate.given, "iterations": stages, "vertex_iterations": SHARP_PASSES}
     return dataclasses.replace(candidate, given=given, cost=candidate.cost * (stages + 2.0) / 5.0)
@@ -108,7 +107,7 @@ LINEAR = (
     _sinc(30, 0.05, 5.0),
     _sinc(50, 0.01, 9.0),
 )
-"""Linear filters, mild to wide, which do well where neighbours share noise."""
+"""Linear filters, from mild to wide, which do well on correlated noise."""
 
 CANDIDATES: tuple[Candidate, ...] = (
     LEARNED,
@@ -124,22 +123,23 @@ PULLED: tuple[Candidate, ...] = (
     Candidate("msal", {"K": 0.25, "mollify": 1}, 1.1),
     Candidate("msal", {"K": 0.5, "mollify": 1}, 1.1),
 )
-"""Candidates with a pull to the scanned positions, for meshes with trust in them."""
+"""Candidates with a data term, for meshes with trust."""
 
 STRONG_EDGES = 0.25
 """Noise in mean edge lengths from which AL mollifies normals twice."""
 
 FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
-"""Sweeps of AL with the Wiener schedule, the second number above that noise, in mean edge lengths.
-More hardly matter: 10 reduce the angle by 1 %, and weak noise is gone after four."""
+"""Sweeps of AL with the Wiener schedule: the first number up to the level ``FAIR_EDGES``, mean edge
+lengths, the second above.  With 10 the angle is 1 % smaller; weak noise is gone after four."""
 
 SHARED_SWEEPS = 10
-"""The same for noise that neighbours share: 2 % less of an angle than six, 20 have 1 % less."""
+"""Sweeps for correlated noise: angles are 2 % smaller than with six, and 1 % larger than with
+20."""
 
 
 def wiener_al(level: float, rings: int = 0) -> Candidate:
-    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths that neighbours share
-    over so many ``rings``."""
+    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths correlated over
+    ``rings``."""
     sweeps = SWEEPS if level > FAIR_EDGES else FEW_SWEEPS
     given = {
         "schedule": "wiener",

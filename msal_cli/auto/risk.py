@@ -1,20 +1,21 @@
-"""The error of any blend of filters, estimated without the truth.
+"""The estimated error of any blend of filters, without ground truth.
 
-A blend with weights w moves the vertices by d = sum w_k d_k, d_k what filter k does.  Its squared
-error over the vertices is a quadratic in w,
+A blend with weights w moves the vertices by d = sum w_k d_k, where d_k are the displacements of
+filter k.  Its squared error over the vertices is a quadratic in w,
 
     |d - (t - y)|^2 = w'Mw - 2 w'b + c,   M_kl = <d_k, d_l>,  b_k = <d_k, t - y>,  c = |t - y|^2
 
-for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  So a first
-result is taken as the truth.  ``CandidateRuns.rate`` and ``compare`` do so with the noise that the
-mesh has then, which is for filters much simpler than the first.  ``SimulatedRisk`` adds noise of
-the same kind to it, and every filter is run on that.  Of noise of an unknown kind that is what the
-first result took away, with the other sign: of the same colour, direction and level everywhere.
+for noisy positions y = t + noise.  M is known; the truth t, and so b and c, are not.  So the result
+of a first filter, the pilot, takes the place of the truth.  ``CandidateRuns.rate`` and ``compare``
+use the given mesh as y, but filters find that noise simpler than the true one.  ``SimulatedRisk``
+instead adds a sample of the noise to the pilot, and runs each filter on that.  Noise of unknown
+kind cannot be sampled: what the pilot removed is added with the opposite sign, which has the same
+correlation, direction and level everywhere.
 
-Both are taken for the positions, and for the slopes, the differences along edges over their
-length, which the angles between face normals follow.  Where noise is in all directions the whole
-difference counts, not only its part across the surface: it also tells how jagged triangles are.
-Only ``judged`` vertices count.
+Errors are measured in positions and in slopes, which are differences along edges over the edge
+length; the angles between face normals depend on the slopes.  For isotropic noise the whole
+difference counts, not only its normal part, so that the slopes also measure how jagged triangles
+are.  Only ``judged`` vertices count.
 """
 
 from __future__ import annotations
@@ -37,40 +38,39 @@ from msal_cli.methods import Method
 from msal_cli.methods._sliding import even_out
 
 Run = Callable[[Mesh], Floats]
-"""Gives what a filter moves the vertices of a mesh by, (m, 3)."""
+"""A function that returns the displacements (m, 3) of a filter on a mesh."""
 
 SEED = 3
-"""Of the noise that is drawn."""
+"""Seed of the simulated noise."""
 
 DRAWN, MIRRORED = "drawn", "mirrored"
-"""What a simulation adds to a first result."""
+"""What a simulation adds to the pilot, see ``SimulatedRisk``."""
 
 MIN_EDGE = 0.3
-"""In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
-all."""
+"""Mean edge lengths; shorter edges count as this long, because single slivers would dominate."""
 
 MIN_SHARE = 1e-9
-"""Noise in parts of the moves, as squares: a smaller value counts as this one."""
+"""Smallest squared noise that errors are divided by, over the largest squared displacement."""
 
 MIN_NOISE = 1e-6
-"""In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
+"""Smallest level of noise, mean edge lengths, because errors are divided by it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Squared error of a blend in parts of that of the input: 1 - 2 w'b + w'Mw."""
+    """Squared error of a blend over that of the input: 1 - 2 w'b + w'Mw."""
 
     gram: Floats  # (k, k), M over c
     gain: Floats  # (k,), b over c
 
     def at(self, weights: Floats) -> float:
-        """The value for weights (k,); below zero only by errors of the estimate."""
-        # As in ``_gram``, no product of a library whose last digit depends on the machine.
+        """The value for weights (k,); errors of the estimate may make it negative."""
+        # No BLAS product, see ``_gram``.
         gained = np.einsum("i,i->", weights, self.gain)
         return float(1.0 - 2.0 * gained + np.einsum("i,ij,j->", weights, self.gram, weights))
 
     def singles(self) -> Floats:
-        """The value (k,) of every single filter."""
+        """The value of each single filter (k,)."""
         value: Floats = 1.0 - 2.0 * self.gain + np.diag(self.gram)
         return value
 
@@ -84,9 +84,9 @@ class Quadratic:
 class Risk:
     """Errors of blends of the same filters, in positions and in slopes.
 
-    ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean: the
-    volume that it sweeps over the area, in standard deviations of the noise.  That of a blend is
-    nearly the sum of its members' drifts, by weight.
+    ``drift`` (k,) is the mean normal displacement of the whole surface by each filter, positive
+    outwards: the volume swept over the area, in standard deviations of the noise.  That of a blend
+    is nearly the weighted sum.
     """
 
     positions: Quadratic
@@ -107,26 +107,26 @@ class Risk:
 def _slopes(
     mesh: Mesh, normals: Floats, judged: Flags, is_isotropic: bool = False
 ) -> Callable[[Floats], Floats]:
-    """A function of moves (m, 3): their differences along the ``judged`` edges, over the edges'
-    lengths; of heights along ``normals`` (m, 3), or whole where the noise ``is_isotropic``.
+    """A function of displacements (m, 3): the differences along the ``judged`` edges over the edge
+    length, of the components along ``normals`` (m, 3), or of vectors if ``is_isotropic``.
 
-    Lengths are those along the surface: across it edges are as long as the noise makes them, which
-    would make the slope depend on the noise that is to be evaluated.
+    Only the tangential part of edges counts for their length: noise lengthens the normal part, and
+    the slopes would depend on the noise.
     """
     links = mesh.topology
     counts = np.diff(links.ring_start)
     first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     kept = (first < links.ring) & judged[first] & judged[links.ring]
     first, second = first[kept], links.ring[kept]
-    across = normals[first] + normals[second]
-    length = np.sqrt(np.einsum("ij,ij->i", across, across))
-    across /= np.maximum(length, 1e-9)[:, None]
+    mean_normals = normals[first] + normals[second]
+    length = np.sqrt(np.einsum("ij,ij->i", mean_normals, mean_normals))
+    mean_normals /= np.maximum(length, 1e-9)[:, None]
     edges = mesh.vertices[first] - mesh.vertices[second]
-    edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
+    edges -= np.einsum("ij,ij->i", edges, mean_normals)[:, None] * mean_normals
     lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
     floor = MIN_EDGE * float(lengths.mean()) if len(lengths) else 1.0
     lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
-    directions = 1.0 / lengths if is_isotropic else across / lengths
+    directions = 1.0 / lengths if is_isotropic else mean_normals / lengths
 
     def slopes(moves: Floats) -> Floats:
         difference = moves[first] - moves[second]
@@ -138,10 +138,9 @@ def _slopes(
 
 
 def _gram(rows: Floats) -> Floats:
-    """All scalar products (k, k) of rows (k, ...), added up in one fixed order.
+    """All scalar products (k, k) of rows (k, ...), summed in a fixed order.
 
-    Not by a matrix product: that of a library may differ in the last digit with the number of its
-    threads.
+    Not by a BLAS product, whose last digit may depend on the number of threads.
     """
     flat = rows.reshape(len(rows), -1)
     gram = np.empty((len(flat), len(flat)))
@@ -152,10 +151,11 @@ def _gram(rows: Floats) -> Floats:
 
 
 class SimulatedRisk:
-    """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
+    """Runs filters on a simulated mesh: ``pilot`` (m, 3), the positions taken as truth, with
+    ``noise``.
 
-    ``added`` says what is put on it: noise that is ``DRAWN``; or ``MIRRORED``, all that the pilot
-    took, with the other sign.
+    ``added`` is what is added to the pilot: a sample of the noise (``DRAWN``), or what the pilot
+    removed, with the opposite sign (``MIRRORED``).
     """
 
     def __init__(
@@ -184,13 +184,12 @@ class SimulatedRisk:
 
     @property
     def level(self) -> float:
-        """Root mean square of what was put on, file units, over the vertices that are judged."""
+        """Root mean square of the added noise over the judged vertices, file units."""
         judged = self._part.judged
         return float(np.sqrt(_square(self._back[judged]) / max(int(judged.sum()), 1)))
 
     def risk(self, judged: Flags | None = None) -> Risk:
-        """The risk of blends of the filters, over the vertices (m,) that are ``judged``; None for
-        those of the part."""
+        """The risk of blends over the vertices ``judged`` (m,); None for those of the part."""
         judged = self._part.judged if judged is None else judged
         slopes = _slopes(self._noisy, self._normals, judged, self._noise.direction == ISOTROPIC)
         seen = np.where(judged[None, :, None], self._moves, 0.0)
@@ -208,7 +207,7 @@ def _square(values: Floats) -> float:
 
 
 def _known(rows: Floats, wanted: Floats) -> Quadratic:
-    """The quadratic for rows (k, ...) that should be ``wanted`` (...)."""
+    """The quadratic error of combinations of rows (k, ...) that approximate ``wanted`` (...)."""
     flat = rows.reshape(len(rows), -1)
     aim = wanted.reshape(-1)
     gram = _gram(flat)
@@ -217,9 +216,9 @@ def _known(rows: Floats, wanted: Floats) -> Quadratic:
 
 
 def _at_least_some(noise: float, gram: Floats) -> float:
-    """A sum of squares of noise to divide ``gram`` (k, k) by.
+    """The squared noise, with a minimum, to divide ``gram`` (k, k) by.
 
-    Where there is no noise every move is an error, and a great one, but a finite one.
+    Without noise each displacement is an error, which is then large but finite.
     """
     return max(noise, MIN_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
 
@@ -229,9 +228,9 @@ def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
 
 
 def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
-    """Volume swept (k,) by moves (k, m, 3), over the area and the noise; outwards is positive.
+    """Volume swept (k,) by displacements (k, m, 3) over the area and the noise; positive outwards.
 
-    Without what vertices at open edges sweep: there the volume depends on the origin.
+    Boundary vertices are left out, because their part depends on the origin.
     """
     area, volume = area_and_volume(mesh.vertices, mesh.faces)
     inner = ~mesh.topology.boundary[:, None]
@@ -243,31 +242,30 @@ def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
 
 
 RELAX = 2
-"""Passes that even out triangles where noise is in all directions: more hardly help, and move
-vertices from their places."""
+"""Passes that relax triangles under isotropic noise: more hardly help, and displace vertices."""
 
 MIN_LEFT, MAX_LEFT = 0.32, 0.8
-"""Bounds of the squared error of evened triangles by Stein's lemma, in parts of the noise.  It is
-0.42 to 0.66 where noise is in all directions.  Less says that it is only along the normals, where
-it is 0.93 and more, or that the triangles are uneven by themselves."""
+"""Bounds of the squared error of relaxed triangles by Stein's lemma, over the squared noise, for
+isotropic noise, which has 0.42 to 0.66.  Outside them the noise is only along the normals (0.93 and
+more), or the triangles are uneven without noise."""
 
 MIN_FLATTER = 0.6
-"""By how much less the logarithm of the squared errors of angles has to be for one pass on uneven
-triangles.  On 25 foreign meshes and those of benchmarks/ground_truth.py noise along the normals
-that was taken for isotropic had up to 0.53, isotropic noise of 0.15 and more mostly 0.7 to 2.4."""
+"""Reduction of the logarithm of the squared error of angles that one pass on uneven triangles
+needs.  On 25 foreign meshes and those of benchmarks/ground_truth.py, noise along the normals that
+was classified as isotropic had up to 0.53, isotropic noise of 0.15 and more mostly 0.7 to 2.4."""
 
 RELAX_PATCH = 4_000
-"""Vertices on which that is judged."""
+"""Vertices of the part on which relaxing is evaluated."""
 
 PROBE_STEP = 0.1
-"""How far a probe moves vertices, in standard deviations of the noise."""
+"""Size of the probe's displacements, in standard deviations of the noise."""
 
 MIN_MEMBER_WEIGHT = 0.01
-"""Members of a first result below this weight are left out of it."""
+"""Members of a pilot below this weight are ignored."""
 
 
 class CandidateRuns:
-    """Runs of candidates on a part, each of which is made once.
+    """Runs of candidates on a part of a mesh; each result is cached.
 
     Parameters
     ----------
@@ -292,11 +290,11 @@ class CandidateRuns:
         self._known: dict[tuple[str, str], Floats] = {}
 
     def moves(self, candidate: Candidate, mesh: Mesh | None = None) -> Floats:
-        """What a candidate moves the vertices of the part, or of a ``mesh`` like it, by, (m, 3)."""
+        """Displacements (m, 3) by a candidate on the part, or on a ``mesh`` with the same faces."""
         return self._runner(candidate)(mesh or self.part.mesh)
 
     def positions(self, candidates: Sequence[Candidate], weights: Floats) -> Floats:
-        """Vertices (m, 3) of the part as a blend of candidates by weights (k,) leaves them."""
+        """Positions (m, 3) of the part after a blend of candidates by weights (k,)."""
         positions = self.part.mesh.vertices.copy()
         for weight, candidate in zip(weights, candidates, strict=True):
             if weight >= MIN_MEMBER_WEIGHT:
@@ -304,19 +302,19 @@ class CandidateRuns:
         return positions
 
     def result(self, candidate: Candidate) -> Mesh:
-        """The part as a candidate leaves it."""
+        """The part after a candidate."""
         return self.part.mesh.with_vertices(self.part.mesh.vertices + self.moves(candidate))
 
     def simulate(
         self, candidates: Sequence[Candidate], first: Floats, added: str = DRAWN
     ) -> SimulatedRisk:
-        """Candidates rated on ``first`` (m, 3) with noise on it; see ``SimulatedRisk``."""
+        """Simulate candidates with ``first`` (m, 3) as the truth; see ``SimulatedRisk``."""
         runs = [self._runner(candidate) for candidate in candidates]
         return SimulatedRisk(self.part, first, runs, self.noise, added, self._on_run)
 
     def rate(self, candidates: Sequence[Candidate], true: Mesh, judged: Flags) -> Risk:
-        """The risk of candidates over the ``judged`` vertices (m,) if ``true`` is the surface of
-        the part.  How vertices lie within the surface does not count."""
+        """The risk of candidates over the vertices ``judged`` (m,) if ``true`` is the surface of
+        the part.  Tangential displacements do not count."""
         mesh, normals = self.part.mesh, true.vertex_normals("uniform")
         slopes = _slopes(mesh, normals, judged)
         moves = [true.vertices - mesh.vertices, *map(self.moves, candidates)]
@@ -326,11 +324,11 @@ class CandidateRuns:
         return Risk(places, _known(tilts[1:], tilts[0]), np.zeros(len(candidates)))
 
     def compare(self, moves: Sequence[Floats], true: Mesh) -> tuple[Floats, Floats, Floats]:
-        """Errors of ``moves`` (k) of (m, 3) if ``true`` is the surface of the part: logarithms of
-        the squared errors of positions across the surface and of face normals, in parts of those of
-        the part; and the root mean square of the former, file units.
+        """Errors of k ``moves`` (m, 3) if ``true`` is the surface of the part: logarithms of the
+        squared errors of normal positions and of face normals over those of the part, (k,) each,
+        and the root mean square of the former, file units.
 
-        How vertices lie within the surface does not count.
+        Tangential displacements do not count.
         """
         across, normals = true.vertex_normals("uniform"), face_normals(true.vertices, true.faces)
         rows = []
@@ -346,7 +344,7 @@ class CandidateRuns:
         return places[1:], tilts[1:], lengths[1:]
 
     def _runner(self, candidate: Candidate) -> Run:
-        """What the candidate moves a mesh like the part by; of the part itself it is kept."""
+        """A function that returns the displacements by a candidate, cached for the part."""
         method = methods.find(candidate.method)
         values = method.validate(candidate.settings(self._edges))
         # Candidates with other settings may have the same label.
@@ -365,12 +363,14 @@ class CandidateRuns:
 
 
 def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
-    """Passes that even out triangles before anything else: where noise is in all directions, and
-    they take away what noise adds to the triangles, not what was uneven before; or one pass where
-    the result of AL then is much nearer in its angles to that of the learned filter.
+    """The number of passes that relax the triangles before other filters.
 
-    With Gaussian noise the mean of <move, noise> is the variance times the divergence of the moves
-    (Stein's lemma), which one probe u measures: u . (moves(y + e u) - moves(y)) / e.
+    It is ``RELAX`` for isotropic noise if the passes remove the noise of the triangles rather than
+    earlier unevenness; 1 if the result of AL after one pass is much nearer in its angles to that of
+    the learned filter; else 0.
+
+    For Gaussian noise the mean of <moves, noise> is the variance times the divergence of the moves
+    (Stein's lemma), which one random probe u estimates: u . (moves(y + e u) - moves(y)) / e.
     """
     if noise.direction != ISOTROPIC:
         return 0
@@ -397,24 +397,24 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
 
 
 def _relaxing_moves(mesh: Mesh) -> Floats:
-    """What evening out moves the vertices of a mesh by, (m, 3)."""
+    """Displacements (m, 3) of vertices by relaxing the triangles."""
     return even_out(mesh, RELAX).vertices - mesh.vertices
 
 
-# Errors of filters that are known already, such as the cells of msal sweep
+# Errors of given filters, such as the cells of msal sweep
 
 Filter = tuple[Method | None, Mapping[str, Any]]
-"""A method and all its parameters; None moves nothing."""
+"""A method and all its parameters; None is the unchanged mesh."""
 
 COMPARED_VERTICES = 6_000
-"""Vertices that filters are compared on, as in the search."""
+"""Vertices of the part on which filters are compared, as in the search."""
 
 
 def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None:
-    """The estimated distance of each result from the true surface, root mean square, in mean edge
-    lengths of ``mesh``, as of ``Choice.risk``; None where the mesh has no noise to speak of.
+    """The estimated root mean square distance of each result from the true surface, in mean edge
+    lengths of ``mesh``, as in ``Choice.risk``; None if the noise is negligible.
 
-    By a simulation with what the learned filter leaves as the truth; see ``SimulatedRisk``.
+    By a simulation with the result of the learned filter as the truth; see ``SimulatedRisk``.
     """
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
@@ -429,7 +429,7 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     model = model.along_normals()
 
     def across(moves: Floats) -> Floats:
-        # How vertices lie within the surface does not count.
+        # Tangential displacements do not count.
         heights = np.einsum("ij,ij->i", moves, normals)[:, None]
         return heights * normals if is_isotropic else moves
 

@@ -1,4 +1,4 @@
-"""The part of a mesh that candidates run on, and the kind of its surface."""
+"""The part of a mesh that candidates run on, and the classification of its surface."""
 
 from typing import Any
 
@@ -17,15 +17,14 @@ from msal_cli.mesh import Mesh
 Ints = NDArray[Any]
 
 PATCH = 2_000
-"""Vertices of a patch, about: in smaller ones too much is near the cut."""
+"""Approximate number of vertices of a patch: smaller ones have too many vertices near the cut."""
 
 SEEDS = 16_384
-"""Places where patches of a large mesh may begin, evenly over the numbers of vertices: to order a
-million by place takes longer than a short search can spend."""
+"""Number of vertices, evenly over the vertex numbers, from which patches of a large mesh may grow:
+to sort a million in space takes too long for a short search."""
 
 MARGIN = 3
-"""Rings at the cut of a patch that are filtered but not evaluated: their neighbours beyond the cut
-are missing."""
+"""Rings at the cut of a patch that are filtered but not evaluated: neighbours are missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +33,14 @@ class Part:
 
     mesh: Mesh  # the patches as one mesh, or the whole
     judged: Flags  # (m,) bool, vertices at which errors are evaluated
-    numbers: Ints | None = None  # (m,) which vertices of the whole these are; None for all of them
+    numbers: Ints | None = None  # (m,) vertex numbers in the whole mesh; None for the whole
 
 
 def select_patch(mesh: Mesh, most: int) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
 
-    Fixed vertices and those that no face uses are not evaluated.  The sample itself has no fixed
-    vertices and no trust.
+    Fixed vertices and those that no face uses are not evaluated.  The sample has neither
+    constraint.
     """
     links, n = mesh.topology, len(mesh.vertices)
     judged = (
@@ -55,19 +54,19 @@ def select_patch(mesh: Mesh, most: int) -> Part:
         )
         return Part(whole, judged)
     # Patches begin only at vertices that are evaluated.
-    places = np.flatnonzero(judged if judged.any() else links.has_ring)
-    if len(places) > 2 * SEEDS:
-        places = places[:: len(places) // SEEDS]
-    order = places[order_in_space(mesh.vertices[places])]
+    seeds = np.flatnonzero(judged if judged.any() else links.has_ring)
+    if len(seeds) > 2 * SEEDS:
+        seeds = seeds[:: len(seeds) // SEEDS]
+    order = seeds[order_in_space(mesh.vertices[seeds])]
     inside = np.zeros(n, dtype=np.bool_)
     count = max(most // PATCH, 1)
     for patch in range(count):
         _grow(order, (2 * patch + 1) * len(order) // (2 * count), most // count, links, inside)
-    # Few faces have their first vertex inside, and only those are looked at.
+    # The first vertex is tested alone, which excludes most faces.
     chosen = np.flatnonzero(inside[mesh.faces[:, 0]])
     chosen = chosen[inside[mesh.faces[chosen]].all(axis=1)]
     if not len(chosen):
-        # A vertex with more neighbours than a patch has room for may leave no face whole.
+        # A vertex of a valence beyond the size of a patch may leave no complete face.
         chosen = np.flatnonzero(inside[mesh.faces].any(axis=1))[:most]
     used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
     kept = judged[used] & ~_cut_rings(used, links)[used]
@@ -78,8 +77,9 @@ def select_patch(mesh: Mesh, most: int) -> Part:
 def _grow(
     order: NDArray[np.int64], start: int, size: int, links: Connectivity, inside: Flags
 ) -> None:
-    """Mark ``size`` vertices that are not marked yet, the nearest along edges to the first such one
-    from place ``start`` of ``order`` on; where its component ends before, to the next such one."""
+    """Mark ``size`` more vertices as ``inside`` (n,) by breadth-first search from the first
+    unmarked vertex in ``order``, from index ``start`` on, and from the next if its component
+    ends."""
     marked, place = 0, 0
     while marked < size:
         while place < len(order) and inside[order[(start + place) % len(order)]]:
@@ -95,7 +95,7 @@ def _grow(
 
 
 def _cut_rings(used: Ints, links: Connectivity) -> Flags:
-    """Which vertices (n,) are within ``MARGIN`` rings of one that is not ``used``."""
+    """Whether each vertex (n,) is within ``MARGIN`` rings of one that is not ``used``."""
     near = np.ones(len(links.has_ring), dtype=np.bool_)
     near[used] = False
     ring = _rings_of(used, links)
@@ -106,7 +106,7 @@ def _cut_rings(used: Ints, links: Connectivity) -> Flags:
 
 
 def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
-    """The neighbours of all ``vertices``, one ring after the other."""
+    """The concatenated one-rings of ``vertices``."""
     start, stop = links.ring_start[vertices], links.ring_start[vertices + 1]
     counts = (stop - start).astype(np.int64)
     ends = np.cumsum(counts)
@@ -115,25 +115,25 @@ def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
     return neighbours
 
 
-# The kind of a surface, by the angles across its edges
+# The kind of a surface, by its dihedral angles
 
 MACHINED, TEXTURED, ORGANIC, CLEAN = "machined", "textured", "organic", "clean"
 
 SHARP = 9.0
-"""How many times the third quartile of the angles their 98th percentile is, from where on edges
-are sharp ones between smooth parts.  On the models of benchmarks/ground_truth.py, after a first
-blend: 9.3 and more on machined ones, 8.7 and less on others, 5 on most."""
+"""A surface is machined if the 98th percentile of its dihedral angles is more than so many times
+the third quartile: sharp edges between smooth parts.  On the models of benchmarks/ground_truth.py,
+after a first blend, machined ones have 9.3 and more, others 8.7 and less, mostly 5."""
 
 ROUGH_DEG = 10.0
-"""The 90th percentile of the angles, in degrees, from which on a surface is called textured."""
+"""The 90th percentile of the angles, in degrees, from which a surface is textured."""
 
 EVEN = 3.3
-"""The same ratio up to which a rough surface is rough all over: 2.3 to 2.8 on texture, 3.9 and more
+"""Largest ratio of the same percentiles of a textured surface: 2.3 to 2.8 on texture, 3.9 and more
 where noise is left on smooth parts between edges."""
 
 AWAY = 0.02
-"""Share of the area of a range scan that may face away from the scanner: by noise, at grazing
-angles.  Scans by one view have 0.015 and less."""
+"""Share of the area of a range scan that may face away from the scanner, by noise at grazing
+angles.  Scans from one view have 0.015 and less."""
 
 
 def is_seen_from_one_side(mesh: Mesh) -> bool:

@@ -1,17 +1,17 @@
-"""The search: candidates on a part of the mesh, their errors estimated, the best blend of them.
+"""The search of ``--auto``: candidates run on a part of the mesh, and their best blend is chosen.
 
-1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
-2. The learned filter runs on a part of the mesh.  If what it leaves is machined, it is the choice.
-3. Else every candidate runs on a simulation: that result is taken as the truth, and noise is added
-   to it, which gives the error of any blend of the candidates.
-4. The best blend is taken, without members that hardly count.
+1. The noise is estimated.  If it is negligible, the mesh is not changed.
+2. The learned filter runs on a part of the mesh.  If its result is machined, it is the choice.
+3. Else each candidate runs on a simulation: that result is taken as the truth, and noise is added
+   to it.  This gives the error of any blend of the candidates.
+4. The best blend is chosen, without members of small weight.
 
-Noise that no draw is like has a shorter search: the learned filter and wide linear ones, on a
-simulation that adds what the learned filter has taken away.
+Noise of kinds that cannot be sampled has a shorter search: the learned filter and wide linear ones,
+on a simulation that adds what the learned filter has removed.
 
-Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
-of a table.  The constants were chosen on the classes of benchmarks/ground_truth.py, by
-benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
+The result is a function of the mesh and the wishes only: random numbers have fixed seeds, and costs
+are those of a table.  The constants were chosen on the classes of benchmarks/ground_truth.py, by
+benchmarks/accuracy.py; docs/accuracy.md tests them on other models.
 """
 
 import dataclasses
@@ -51,54 +51,55 @@ from msal_cli.auto.sample_patch import (
 from msal_cli.mesh import Mesh
 
 LARGE, MOST_COST = 200_000, 1.3 * LEARNED.cost
-"""Vertices from which the members of a blend cost so much at most, together: hardly more than the
-learned filter alone.  On smaller meshes that filter may count twice, for the noise and for twice
-of it: angles are 1 % less."""
+"""Number of vertices from which the total cost of the members of a blend is limited, and that
+limit, hardly more than the learned filter alone.  On smaller meshes that filter may run twice, for
+the noise and for twice the noise: angles are 1 % smaller."""
 
 PART = 6_000
-"""Vertices that the best are tried on; on fewer the estimates scatter too much."""
+"""Vertices of the part that candidates run on; on smaller parts the estimates scatter too much."""
 
 MIN_WEIGHT = 0.04
 """Members below this weight are left out."""
 
 DOUBT, GREAT_DOUBT = 0.15, 0.5
-"""By which part of the way to the lower end of its interval the noise is taken for less, where
-that way is up to ``WIDE`` of the level, and where it is all of it: texture could be part of it."""
+"""The assumed level of noise is below the estimate, because part of it may be texture: by this
+share of the distance to the lower end of its interval, if that distance is up to ``WIDE`` of the
+level, and if it is all of the level."""
 
 WIDE = 0.3
-"""Width of the interval below the level, in parts of it, up to which it is a usual one."""
+"""Usual width of the interval below the level, as a share of the level."""
 
 UNEVEN_WIDTH = 0.18
-"""The same width, as it is taken for noise that is not the same everywhere."""
+"""The width that is assumed for uneven noise."""
 
 MOST = 0.5
-"""Sum of weights from which those of a machined part are raised to 1: where it is flat, what would
-be left of the noise is no shape."""
+"""Sum of weights from which those of a machined part are scaled to 1, because flat faces have no
+shape that full weights would remove."""
 
 MIN_LEARNED = 0.5
-"""Sum of weights of the learned filter below which, where neighbours share the noise, all other
-weights are halved, and that filter has the rest: mirrored, such noise looks like shape."""
+"""Sum of weights of the learned filter below which, under correlated noise, the other weights are
+halved and it gets the rest: such noise, mirrored, looks like shape."""
 
 WEAK, SURE = 0.1, 0.13
-"""White noise in mean edge lengths below which a range scan may have more that neighbours share,
-and the width up to which it has not."""
+"""Level of white noise, mean edge lengths, below which a range scan may have more that is
+correlated, and the width of the interval up to which it does not."""
 
 _RUNS = 2
-"""Runs of a candidate in a search: its own, and in a simulation."""
+"""Runs of a candidate in a search: on the part, and in the simulation."""
 
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
-# What is to be kept: factor of the noise, share of the slopes.
+# For each ``Wishes.keep`` the factor of the noise, and the weight of slopes.
 _KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
 
 
 def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
-    """The best method or blend for ``mesh``.
+    """Choose the best method or blend for ``mesh``.
 
-    Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the
-    method is one that has a data term, which the trust scales.
+    Fixed vertices do not move.  If the mesh has ``Mesh.trust``, only methods with a data term,
+    which the trust scales, are candidates.
     """
     step = on_step or (lambda done, total: None)
     edge = mesh.mean_edge_length
@@ -116,7 +117,7 @@ def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> 
 
 
 class _Search:
-    """One search, and what is known of the mesh."""
+    """One search and its state."""
 
     def __init__(
         self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep, is_unsure: bool
@@ -140,7 +141,7 @@ class _Search:
         self.mesh, self.relax = case.mesh, case.relax
         self.evened = self.mesh.vertices - mesh.vertices
         self.model = case.model.at_level(self.level)
-        # Of the mesh as the blend gets it, and without the wishes.
+        # For the relaxed mesh, and without the wishes.
         self.local, self.levels = case.local, case.levels
 
     def choose(self) -> Choice:
@@ -159,7 +160,7 @@ class _Search:
             elif not is_drawn:
                 return self._choose_by_mirror(surface)
             elif surface == MACHINED and self.wishes.prefer == "balanced":
-                # Of what is not known to be white nothing is restored.
+                # The learned filter restores texture only under noise known to be white.
                 is_white = self.noise.character.kind != "unknown"
                 usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
         self._total = _RUNS * len(usable) + 1
@@ -167,12 +168,12 @@ class _Search:
         return self._choice(study, usable, judges, surface)
 
     def _choose_by_mirror(self, surface: str) -> Choice:
-        """The best blend of the learned filter and wide linear ones, which blur machined parts.
+        """The best blend of the learned filter and wide linear ones, by mirrored noise.
 
-        The first result is that of the learned filter; on texture, where it may take too much away,
-        a linear one counts as much.
+        The pilot is the result of the learned filter; on texture, of which it may remove too much,
+        also that of a linear one, with the same weight.  Linear filters blur machined parts.
         """
-        # Doubt about texture does not reduce the level of noise that is not drawn.
+        # The level is reduced in doubt of texture only for noise that can be sampled.
         edge = self.mesh.mean_edge_length
         self.level = max(self.level, self.noise.of_noisy_part * self.wished * edge)
         self.model = self.model.at_level(self.level)
@@ -193,8 +194,8 @@ class _Search:
         return self._choice(study, members, mirrors, surface)
 
     def _by_level(self, part: Part, judges: Sequence[SimulatedRisk], weights: Floats) -> Floats:
-        """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
-        of local noise; one row where noise is the same everywhere."""
+        """Weights (levels, k) for each level of local noise, of the members with weight in
+        ``weights`` (k,); a single row if the noise is uniform."""
         rows = np.tile(weights, (max(len(self.levels), 1), 1))
         kept = np.flatnonzero(weights)
         if not self.levels or not len(kept):
@@ -205,8 +206,7 @@ class _Search:
             if judged.sum() >= blends.MIN_JUDGED:
                 some = self._best([judge.risk(judged).of(kept.tolist()) for judge in judges])
                 row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
-        # Where there is most noise what the filters do is right as a whole, whatever the judges
-        # make of the few vertices there.
+        # At the highest level weights are scaled to sum 1: simulations have few vertices there.
         loudest = rows[-1] if rows[-1].any() else weights
         rows[-1] = blends.round_weights(loudest / loudest.sum())
         return rows
@@ -214,8 +214,8 @@ class _Search:
     def _strengthen(
         self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats, strength: float
     ) -> tuple[list[Candidate], Floats]:
-        """The members and weights (levels, k) with one more, so that vertices move as much farther
-        as the ``strength`` asks for."""
+        """Add a stronger member to the members and weights (levels, k), so that vertices move as
+        much farther as the ``strength`` asks for."""
         used = np.flatnonzero(rows.any(axis=0)).tolist()
         spare = self.most_cost - sum(members[k].cost for k in used)
         stronger = [
@@ -228,14 +228,13 @@ class _Search:
         )
 
     def _trials(self) -> CandidateRuns:
-        """Runs on a sample of the mesh."""
         part = select_patch(self.mesh, PART)
         return CandidateRuns(part, self.model.on_part(part.numbers), self._step)
 
     @property
     def _is_drawn(self) -> bool:
-        """Whether a draw of the model is like the noise: it is white, as far as is known, and all
-        there is."""
+        """Whether samples of the model resemble the noise: all of it is white, as far as is
+        known."""
         noise = self.noise
         is_weak = noise.mean_edges < WEAK and self._width > SURE and not noise.is_uneven
         is_range_scan = is_weak and is_seen_from_one_side(self.mesh)
@@ -244,7 +243,7 @@ class _Search:
 
     @property
     def _width(self) -> float:
-        """How far below its level the noise may be, in parts of the level."""
+        """Width of the interval below the level of noise, as a share of the level."""
         if self.noise.is_uneven:
             # The interval reaches to the quietest region.
             return UNEVEN_WIDTH
@@ -252,12 +251,12 @@ class _Search:
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _is_usable(self, candidate: Candidate) -> bool:
-        """Whether trust in the scan, if there is any, has an effect on it."""
+        """Whether a candidate has a data term, if the mesh has trust."""
         method = methods.find(candidate.method)
         return self.mesh.trust is None or method.has_data_term(method.validate(candidate.given))
 
     def _noise_edges(self) -> float:
-        """The noise in mean edge lengths, with as many digits as are worth writing down."""
+        """The level of noise in mean edge lengths, rounded for recipes."""
         return float(round(self.level / self.mesh.mean_edge_length, 4))
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
@@ -266,11 +265,11 @@ class _Search:
             weights = np.zeros(len(risks[0].drift))
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
-        # Rounded at once: what the last digits of a solver are must not show in what follows.
+        # Rounded at once, so that rounding errors of the solver have no effect on what follows.
         return blends.round_weights(blends.best_weights(risks, self.slopes, self.drift))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
-        """How the candidates do by themselves; less is better."""
+        """Score (k,) of each single candidate; smaller is better."""
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
             places, tilts = risk.log_errors(blends.FLOOR)
@@ -278,7 +277,8 @@ class _Search:
         return score
 
     def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
-        """The best weights, rounded, of few members that cost no more than ``most_cost``."""
+        """The best weights (k,), rounded, without small ones, of members that cost ``most_cost`` at
+        most."""
         costs = np.array([member.cost for member in members])
         kept = list(range(len(members)))
         while True:
@@ -288,7 +288,7 @@ class _Search:
                 break
             cost = costs[kept]
             if cost[used].sum() > self.most_cost and len(kept) > 1:
-                # The least useful for what it takes; those that had no weight may get some then.
+                # Without the member of the smallest weight over cost others may get one.
                 del kept[int(np.argmin(np.where(used, weights / cost, np.inf)))]
             elif not used.all():
                 kept = [k for k, is_used in zip(kept, used, strict=True) if is_used]
@@ -298,8 +298,8 @@ class _Search:
         result[kept] = weights
         return result
 
-    def _settle(self, members: Sequence[Candidate], weights: Floats, surface: str) -> Floats:
-        """The weights (k,) of members where more is known than the judges say."""
+    def _adjust(self, members: Sequence[Candidate], weights: Floats, surface: str) -> Floats:
+        """Correct the weights (k,) of members by the kind of noise and surface."""
         if members[0] is BLIND:
             return np.ones(1)
         total = float(weights.sum())
@@ -321,12 +321,12 @@ class _Search:
         judges: Sequence[SimulatedRisk],
         surface: str,
     ) -> Choice:
-        """The best blend of ``members`` by the judges."""
+        """The choice of the best blend of ``members`` by the simulations ``judges``."""
         risks = [judge.risk() for judge in judges]
-        weights = self._settle(members, self._prune(members, risks), surface)
+        weights = self._adjust(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
         share = self.wishes.share * (_hedge(risks, weights) if self.is_unsure else 1.0)
-        # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
+        # To keep only the smooth shape, one step stronger.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
         blended: Sequence[Candidate] = members
@@ -370,7 +370,7 @@ class _Search:
 
 
 def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
-    """The share of a blend that is not much worse if there is only texture, in either measure."""
+    """The share of a blend by ``blends.hedge``, the smaller one of positions and slopes."""
     shares = []
     for measure in ("positions", "slopes"):
         counted = [getattr(risk, measure) for risk in risks]

@@ -1,14 +1,14 @@
-"""How much noise there is on a mesh, and of what kind, or whether it has any.
+"""The level and the kind of the noise on a mesh, or whether there is any.
 
-``fits`` measures the level of noise that each vertex has of its own over one- and two-rings, and
-looks at fewer places over up to six rings; ``axes`` and ``evidence`` measure what each kind of
-noise would leave there, and make numbers of it all.
+``fits`` measures the level of white noise over one- and two-rings, and fits polynomials over up to
+six rings at fewer vertices; ``axes`` and ``evidence`` measure what each kind of noise would leave
+there, and make features of it all.
 
-From these numbers boosted trees, trained by ``python -m training.noise`` on scripted shapes with
-noise of every kind and without, give a sum for each kind; the probabilities are its softmax,
-calibrated on shapes that the trees had not seen.  Other forests tell over how many rings
-neighbours share it, and how far the level is from the one measured for the kind.  Numbers are
-compared in single precision, so that every processor takes the same branches.
+From these features boosted trees, trained by ``python -m training.noise`` on scripted shapes with
+noise of each kind and without, compute a score for each kind; the probabilities are the softmax of
+the scores, calibrated on shapes outside the training set.  Two more forests estimate over how many
+rings the noise is correlated, and a correction of the level measured for the kind.  Features are
+compared in single precision, so that all processors take the same branches.
 """
 
 import dataclasses
@@ -88,37 +88,38 @@ LEVEL_OF_KIND = {
     "impulsive": "rms",
     "staircase": "steps",
 }
-"""Which of the ``LEVELS`` is that of a kind."""
+"""Which of the ``LEVELS`` measures the level of each kind."""
 
 CORRECTED = ("white", "isotropic", "correlated", "view", "outliers", "impulsive")
-"""Kinds whose measured level trees correct; steps and regions are measured as well without."""
+"""Kinds whose measured level a forest corrects; for steps and regions it brings nothing."""
 
 MANY_VERTICES, FEWER = 1_500, 1.6
-"""Below so many vertices the odds of noise fall with their number to this power: few vertices are
-a design rather than a scan."""
+"""With fewer vertices the odds of noise are multiplied by their share of this number to this power:
+small meshes are designs rather than scans."""
 
 MAX_RINGS, MIN_SHARED = 4, 0.95
-"""Greatest number of rings, and the estimate below which there are none."""
+"""Largest number of rings over which noise is correlated, and the estimate below which it is 0."""
 
 
 MIN_VERTICES = 64
-"""Vertices below which nothing is said: two rings are most of the mesh."""
+"""Meshes with fewer vertices get no estimate, because two rings are most of the mesh."""
 
 NAMED = 0.5
-"""Least probability of a kind that is named, as a share of the probability of noise."""
+"""Smallest probability with which a kind is reported, as a share of the probability of noise."""
 
 PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
-"""Least probability of shared noise that is named, for filters would take relief for it: where wide
-fits leave the same everywhere and the misfit is below ``PLAIN_MISFIT``; elsewhere; and where a
-smooth relief would leave the same, or the misfit is above ``POOR_MISFIT``."""
+"""Smallest probabilities with which correlated noise is reported, because filters for it would
+smooth relief: if wide fits leave the same residual everywhere and the misfit is below
+``PLAIN_MISFIT``; by default; and if smooth relief would leave the same residuals, or at misfits
+above ``POOR_MISFIT``."""
 
 PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
-"""Misfits of the levels by scale: below the first shared noise explains them, above the second
-hardly."""
+"""Misfits of the levels by scale: below the first one correlated noise explains them, above the
+second one it hardly does."""
 
 FEW_VERTICES, MAX_FEW = 512, 0.75
-"""Below so many vertices designs look like scans (a cone of 34, a ring of 128, a patch of 432), and
-noise is at most this probable."""
+"""With fewer vertices designs look like scans (a cone of 34, a ring of 128, a patch of 432), and
+the probability of noise is at most this."""
 
 QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 """Level, mean edge lengths, below which noise of the ``SHARED_KINDS`` needs the probability
@@ -126,71 +127,70 @@ QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 ``SURE_FEW`` for few vertices."""
 
 QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
-"""The same for noise that differs by region, as detail of a model does."""
+"""Level and probability, as above, for noise that differs by region, as detail of a model does."""
 
 MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
-"""Where 95 % and 5 % of the edges are below lengths with a greater ratio, as in exports of CAD and
-after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other noise this."""
+"""If the ratio of the 95 % and 5 % quantiles of edge lengths is greater, as in CAD exports and
+after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, other noise this."""
 
 MIN_AXIS_GAIN = -0.15
-"""By how much the axis explains the variances better than the normals do, below which noise along
-it needs ``SURE_SPREAD``: two coarse models of a face have -0.22 and -0.19, at probabilities of 0.68
-and 0.73; of 504 meshes with noise along the view 6 have both."""
+"""Gain (see ``AxisEvidence.gain``) below which noise along an axis needs ``SURE_SPREAD``: two
+coarse models of a face have -0.22 and -0.19, at probabilities of 0.68 and 0.73; of 504 meshes with
+noise along the view 6 have both."""
 
 SURE_UNNAMED = 0.98
-"""The same as ``SURE_NOISE`` for noise of an unknown kind where edges are flat."""
+"""As ``SURE_NOISE``, for noise of an unknown kind on a mesh with flat edges."""
 
 MAX_NON_MANIFOLD, SURE_DECIMATED = 0.001, 0.98
-"""Share of non-manifold edges above which noise needs a probability, of the ``INDEPENDENT_KINDS``
-``SURE_DESIGN``: decimation leaves such edges, 0.2 to 5 % on coarse parts of robots, and simulated
-and real scanners have none."""
+"""Share of non-manifold edges above which noise needs this probability, or ``SURE_DESIGN`` if it is
+of the ``INDEPENDENT_KINDS``.  Decimation leaves such edges, 0.2 to 5 % on coarse parts of robots;
+simulated and real scanners leave none."""
 
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
-"""Angle in radians up to which an edge is flat to rounding; the share of such edges above which
-noise needs ``SURE_NOISE``; and the cosine to the axis from which noise along it bends a face.  Of
-62 shapes of ``training.shapes`` white, isotropic and shared noise of 0.2 e leaves 0.0019 at most;
-decimated and shrink-wrapped designs have 0.01 and more, and so have range scans with rounded
-depths, which are open."""
+"""Dihedral angle in radians below which an edge is flat up to rounding; the share of such edges
+above which noise needs ``SURE_NOISE``; and the cosine to the axis above which noise along it would
+bend a face.  Of 62 shapes of ``training.shapes``, white, isotropic and correlated noise of 0.2 e
+leaves at most 0.0019 of the edges flat; decimated and shrink-wrapped designs have 0.01 and more,
+and so have range scans with rounded depths, which are open."""
 
 ROUNDING = (0.01, 0.1)
-"""Mean edge lengths between which steps of all coordinates leave edges flat under noise, which
-then needs ``SURE_SPREAD``; of 10,729 clean foreign files none with flat edges that decide has such.
-"""
+"""If all coordinates are rounded to steps between these, in mean edge lengths, the rounding
+explains flat edges under noise, which then needs ``SURE_SPREAD``.  Of 10,729 clean foreign files
+where flat edges decide, none has such steps."""
 
 MAX_OPEN = 0.01
-"""Share of the vertices at open edges above which noise along an axis may be of such a scan."""
+"""Share of boundary vertices above which a mesh may be a range scan with rounded depths."""
 
 MAX_DOUBTFUL = 0.89
-"""Greatest probability of noise that is not taken for such for other reasons: that is unsure."""
+"""Largest probability of noise that is rejected for other reasons; it makes the estimate unsure."""
 
 MIN_MIRRORED = 0.9
 """Share of the vertices with a mirror image above which a mesh is a design: 0.92 and more on
-skulls, furniture and other models that were made as halves, 0.3 and less on all others."""
+skulls, furniture and other models made by mirroring a half, 0.3 and less on all others."""
 
 MAX_WHITE = 1.25
-"""What fits over two rings leave at the flattest fifth of the places, over the level for white
-noise, above which it is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes, 1.4 to
-5 for noise shared over two rings and more, 3.2 and more on surfaces of CT volumes."""
+"""Residual of fits over two rings at the flattest fifth of the vertices, over the level of white
+noise, above which the noise is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes,
+1.4 to 5 for noise correlated over two rings and more, 3.2 and more on surfaces of CT volumes."""
 
 SURE_SHARED_NOISE = 0.9
-"""Probability of noise from which what is not white is shared, and not relief under a trace of
-white noise."""
+"""Probability of noise from which noise that is not white counts as correlated, rather than as
+relief with a trace of white noise."""
 
 FACING, MIN_GAIN = 0.6, 0.05
-"""Depths in steps need a mesh that faces their axis (mean squared cosine of the normals), or else
-an axis that explains what fits leave better by ``MIN_GAIN``."""
+"""Quantised depths need a mesh that faces their axis (mean squared cosine of the normals), or else
+an axis with at least this gain."""
 
 SURE_STEPS = 0.95
-"""Probability from which depths are in steps without either: texture hides what an axis
-explains."""
+"""Probability from which depths are quantised without either, because texture may hide the gain."""
 
 MAX_SLIDE = 1.6
-"""Greatest ratio of the level by how far vertices slide along the axis to that by what fits leave:
+"""Largest ratio of the level by tangential displacements along the axis to the level by residuals:
 noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 
 MAX_PATTERNED = 0.3
-"""Greatest probability of noise where nearly all that fits leave is shape that repeats; terraces
-and depths in steps repeat, too."""
+"""Largest probability of noise if nearly all of the residual is a repeating pattern; terraces and
+quantised depths are excepted, because they repeat too."""
 
 STEPPED = ("staircase", "quantised")
 """Kinds of noise that repeat on slopes."""
@@ -199,53 +199,54 @@ BENDING = ("white", "isotropic", "correlated")
 """Kinds of noise that leave hardly an edge flat."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
-"""Kinds of noise that neighbours may share."""
+"""Kinds of noise that may be correlated."""
 
 INDEPENDENT_KINDS = ("white", "isotropic", "outliers", "impulsive", "quantised")
-"""Kinds of noise that detail hardly looks like."""
+"""Kinds of noise that detail seldom resembles."""
 
 PASSES = 20
-"""Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""
+"""Averages over one-rings: they cover about sixty vertices, enough for an error of a tenth."""
 
 MIN_HEIGHT = 0.01
-"""Mean edge lengths that are added to every height, so that those near zero do not rule."""
+"""Mean edge lengths added to each height before the logarithm, so that small ones do not
+dominate."""
 
 
 _LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
-"""The noise of parts of meshes, as ``lend_estimate`` has it."""
+"""Estimates of whole meshes by part, set by ``lend_estimate``."""
 
 
 def estimate_noise(mesh: Mesh) -> NoiseLevel:
     """The noise of a mesh.
 
-    Noise of 0.05 to 0.7 mean edge lengths is estimated within some per cent where it is white, and
-    within about 15 % where neighbours share it.  Detail as fine as the mesh itself may look like
-    noise: ``readings`` say how probable both are, and where neither is sure the estimate is
-    ``is_unsure``.  The result does not depend on how the mesh is moved or scaled, nor on the number
-    of threads.  Its cost hardly depends on the size of the mesh.
+    Noise of 0.05 to 0.7 mean edge lengths is estimated with an error of some per cent if it is
+    white, and of about 15 % if it is correlated.  Detail as fine as the mesh itself may look like
+    noise: ``readings`` have the probabilities of both, and ``is_unsure`` means that neither is
+    high.  The result does not depend on the position, orientation and scale of the mesh, nor on the
+    number of threads.  The cost hardly depends on the size of the mesh.
     """
     known = _LENT.get(mesh)
     return characterize(mesh).level if known is None else known
 
 
 def lend_estimate(noise: NoiseLevel, part: Mesh) -> None:
-    """Let ``part`` of a mesh have the ``noise`` of the whole, which is better known there."""
+    """Use the ``noise`` of the whole mesh, whose estimate is better, for a ``part`` of it."""
     _LENT[part] = noise
 
 
 def has_uneven_edges(mesh: Mesh) -> bool:
-    """Whether edges differ in length as those of a design do, and hardly those of a scan."""
+    """Whether edge lengths differ as much as in CAD exports, and hardly ever in scans."""
     return gather_evidence(mesh, estimate_white(mesh)).edge_spread > MAX_SPREAD
 
 
 def is_non_manifold(mesh: Mesh) -> bool:
-    """Whether as many edges have more than two faces as decimation leaves, and no scanner does."""
+    """Whether the mesh has as many non-manifold edges as decimation leaves, and no scanner does."""
     links = mesh.topology
     return links.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(links.ring)
 
 
 def estimate_regions(mesh: Mesh) -> Floats:
-    """Level of the noise around each vertex (n,), file units: that of the region it lies in.
+    """Level of the noise around each vertex (n,), file units: that of the nearest region.
 
     Vertices that no face uses have 0.
     """
@@ -256,12 +257,12 @@ def estimate_regions(mesh: Mesh) -> Floats:
 
 @cached_by_mesh
 def local_levels(mesh: Mesh) -> Floats:
-    """Level of the noise around each vertex (n,), mean edge lengths.
+    """Level of the noise around each vertex (n,), mean edge lengths; cached by mesh.
 
-    Heights are what the umbrella, applied twice, leaves along the normals.  Their geometric mean
-    over some rings follows the noise, and hardly the few large ones along edges; all are scaled so
-    that their mean square is that of ``estimate_regions``.  Over halves and ramps of noise on five
-    models it errs by a third less than levels by region.  It is computed once for a mesh.
+    Heights are the normal components of the umbrella operator applied twice.  Their geometric mean
+    over some rings follows the noise, and is robust against the few large heights at sharp edges.
+    The result is scaled to the mean square of ``estimate_regions``.  With noise on halves and ramps
+    of five models its error is a third less than that of levels by region.
     """
     rings = mesh.topology.one_ring
     second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
@@ -278,20 +279,20 @@ def local_levels(mesh: Mesh) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Forest:
-    """Binary trees whose leaves add up, one sum for each output; a leaf is its own child."""
+    """Binary trees whose leaf values are summed for each output; a leaf is its own child."""
 
-    features: NDArray[np.int16]  # (k,) which number a node compares
-    thresholds: NDArray[np.float32]  # (k,) float32; numbers up to it go left
+    features: NDArray[np.int16]  # (k,) the feature that each node compares
+    thresholds: NDArray[np.float32]  # (k,) float32; values up to it go left
     left: NDArray[np.int32]  # left, right: (k,) children
     right: NDArray[np.int32]
-    values: NDArray[np.float32]  # (k,) what a leaf adds; 0 at other nodes
+    values: NDArray[np.float32]  # (k,) values of leaves; 0 at other nodes
     roots: NDArray[np.int32]  # roots, outputs: (t,) first node and output of each tree
     outputs: NDArray[np.int16]
-    start: Floats  # (o,) each output without trees
-    depth: int  # levels below the roots
+    start: Floats  # (o,) bias of each output
+    depth: int  # depth of the deepest leaf below its root
 
     def evaluate(self, numbers: Floats) -> Floats:
-        """The outputs (o,) for the numbers (f,) of one mesh."""
+        """The outputs (o,) for the features (f,) of one mesh."""
         compared = numbers.astype(np.float32)
         nodes = self.roots
         for _ in range(self.depth):
@@ -305,29 +306,29 @@ class Forest:
 class Classifier:
     """The trained forests."""
 
-    # kinds, rings, levels: of the sums by kind, of the number of rings, and of the logarithm of the
-    # level over the measured one for each of the ``CORRECTED`` kinds
+    # kinds: a score for each kind; rings: the number of rings; levels: the logarithm of the level
+    # over the measured one, for each of the ``CORRECTED`` kinds
     kinds: Forest
     rings: Forest
     levels: Forest
-    sharpness: float  # by what sums are multiplied so that probabilities hold
-    # (kinds, 2) true level over the estimated one: what it exceeds in nine of ten cases, and in one
+    sharpness: float  # factor of the scores that calibrates the probabilities
+    # (kinds, 2) 10 % and 90 % quantiles of the true level over the estimated one
     spreads: Floats
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the classifier says of one mesh."""
+    """The result of the classifier for one mesh."""
 
     noise: float  # probability that there is noise, 0 to 1
-    kind: str  # the most probable kind of noise, as if there was some
+    kind: str  # the most probable kind, given that there is noise
     probability: float  # of that kind
-    measured: float  # its level by fits, mean edge lengths, as if there was some
-    # level, low, high: its level and an interval for it, likewise, by what trees make of that
+    measured: float  # its measured level, mean edge lengths, given that there is noise
+    # level, low, high: the corrected level and its interval, mean edge lengths
     level: float
     low: float
     high: float
-    rings: int  # over how many rings neighbours share it, 0 to 4
+    rings: int  # over how many rings it is correlated, 0 to 4
 
 
 FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.name != "depth"]
@@ -335,7 +336,6 @@ FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.nam
 
 @functools.cache
 def load_classifier() -> Classifier:
-    """The forests of the package."""
     arrays = np.load(WEIGHTS)
     forests = {
         name: Forest(
@@ -348,15 +348,15 @@ def load_classifier() -> Classifier:
 
 
 def measured_level(numbers: Floats, kind: str, rings: int) -> float:
-    """Logarithm of the level that was measured for a kind; mean edges."""
+    """Logarithm of the measured level, mean edge lengths, of noise of a kind."""
     name = "axis_colour" if kind == "view" and rings else LEVEL_OF_KIND[kind]
     value = float(numbers[LEVELS.index(name)])
     return value if value > MISSING else float(numbers[LEVELS.index("white")])
 
 
 def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
-    """What the numbers (k,) of a mesh say; its noise is of no kind that is less probable than
-    ``least`` has it."""
+    """Classify the noise by the features (k,) of a mesh.  Kinds less probable than in ``least`` are
+    excluded."""
     trained = load_classifier()
     sums = trained.sharpness * trained.kinds.evaluate(numbers)
     sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
@@ -390,16 +390,16 @@ def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The noise of a mesh, by region too."""
+    """The noise of a mesh, and its level by region."""
 
     level: NoiseLevel  # the noise
-    middles: Floats  # (r, 3) positions of the regions' middles
+    middles: Floats  # (r, 3) centres of the regions
     regions: Floats  # (r,) levels of the regions, file units
 
 
 @cached_by_mesh
 def characterize(mesh: Mesh) -> Estimate:
-    """What the noise is like, and its level as it is for such; computed once for a mesh."""
+    """The kind of the noise and the level that follows from it; cached by mesh."""
     white = estimate_white(mesh)
     n_used = np.count_nonzero(mesh.topology.has_ring)
     if n_used < MIN_VERTICES:
@@ -414,11 +414,11 @@ def characterize(mesh: Mesh) -> Estimate:
     if not is_named and _is_surely_shared(verdict, evidence):
         measured = verdict.level
     elif not is_named:
-        # In doubt what the finest fits see, which relief adds least to.
+        # If in doubt, the level by the finest fits, to which relief adds least.
         measured = min(measured, white.level.mean_edges)
         verdict = _with_level(verdict, measured)
     elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
-        # Rows of a range scan slide within the surface farther than noise makes them.
+        # In range scans uneven rows look like tangential displacements larger than those of noise.
         measured = min(measured, MAX_SLIDE * evidence.axis.level)
         verdict = _with_level(verdict, min(verdict.level, measured))
     elif verdict.kind == "staircase":
@@ -452,7 +452,7 @@ def characterize(mesh: Mesh) -> Estimate:
     if verdict.kind == "impulsive":
         level = min(level, white.level.mean_edges)
     if verdict.kind == "white":
-        # What may be relief is known where the fits are those of the level.
+        # The fits measure white noise, so their lower bound, which allows for relief, applies.
         low = min(low, white.level.low)
     noise = dataclasses.replace(
         white.level,
@@ -486,15 +486,15 @@ def characterize(mesh: Mesh) -> Estimate:
 
 
 def _is_in_pieces(mesh: Mesh) -> bool:
-    """Whether most vertices are in connected parts of fewer than ``MIN_VERTICES``: a convex
-    decomposition, say."""
+    """Whether most vertices are in components of fewer than ``MIN_VERTICES``: convex pieces,
+    say."""
     labels = component_labels(len(mesh.vertices), mesh.faces)[mesh.topology.has_ring]
     sizes = np.bincount(labels)
     return bool(sizes[sizes < MIN_VERTICES].sum() > 0.5 * len(labels))
 
 
 def _with_level(verdict: Verdict, level: float) -> Verdict:
-    """The verdict with another level, mean edges, and its interval by as much."""
+    """The verdict with another level, mean edge lengths, and a proportional interval."""
     scale = level / verdict.level
     return dataclasses.replace(
         verdict, level=level, low=scale * verdict.low, high=scale * verdict.high
@@ -502,21 +502,21 @@ def _with_level(verdict: Verdict, level: float) -> Verdict:
 
 
 def _may_be_white(evidence: Evidence) -> bool:
-    """Whether fits over two rings leave what the finest do, as of white noise."""
+    """Whether fits over two rings have the residual of the finest fits, as for white noise."""
     flat = evidence.survey.quantile(TWO, FLATTEST)
     finest = math.exp(evidence.numbers[LEVELS.index("white")])
     return math.isnan(flat) or math.sqrt(max(flat, 0.0)) <= MAX_WHITE * finest
 
 
 def _is_surely_shared(verdict: Verdict, evidence: Evidence) -> bool:
-    """Whether there is noise that neighbours share for sure: no white noise, and no relief."""
+    """Whether there surely is correlated noise, neither white noise nor relief."""
     is_relief = evidence.colour is not None and evidence.colour.is_relief
     is_noise = verdict.noise >= SURE_SHARED_NOISE
     return is_noise and not is_relief and not _may_be_white(evidence)
 
 
 def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
-    """Probability from which the kind is named."""
+    """Probability from which the kind is reported."""
     if verdict.kind != "correlated":
         return NAMED * verdict.noise
     colour = evidence.colour
@@ -529,12 +529,12 @@ def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
 
 
 def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> float:
-    """Probability of noise from which there is some of that measured ``level``.
+    """Probability from which noise of that measured ``level`` is accepted.
 
-    A trace of noise that neighbours share is hardly seen, and relief is, once it is gone; detail on
-    a part of a design is more frequent than noise on a part of a scan, what neighbours share has a
-    floor where it is noise, noise along an axis is less where the surface is, and blocks on a grid
-    are designs as well.
+    It is higher where errors are likely or harmful.  Weak correlated noise is hardly visible, while
+    smoothed relief is.  Detail on a part of a design is more frequent than noise on a part of a
+    scan.  Correlated noise has a floor, noise along an axis is weaker on steep faces, and designs
+    may be blocks on a grid as well.
     """
     if verdict.kind == "view" and evidence.axis is not None:
         level = min(level, evidence.axis.best_level)
@@ -555,8 +555,8 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
 
 
 def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
-    """Whether many edges are flat to rounding, as those of a design are; of faces that noise along
-    the ``axis`` (3,) would bend, if it is given."""
+    """Whether many edges are flat up to rounding, as in designs; if an ``axis`` (3,) is given, only
+    edges of faces that noise along it would bend count."""
     corners = flaps(mesh.faces, mesh.topology)
     is_flat = dihedral_angles(mesh.vertices, corners) < FLAT
     if axis is not None:
@@ -566,8 +566,8 @@ def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
 
 
 def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -> bool:
-    """Whether hardly any edge is flat that noise of this kind would have bent, or rounding explains
-    those that are."""
+    """Whether hardly any edge is flat that such noise would have bent, or rounding explains
+    them."""
     if is_named and verdict.kind == "view" and evidence.axis is not None:
         is_open = mesh.topology.boundary.mean() > MAX_OPEN
         return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)
@@ -576,21 +576,21 @@ def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -
 
 
 def _is_rounded(mesh: Mesh) -> bool:
-    """Whether coordinates are rounded to steps that are a part of noise, and leave edges flat by
-    chance: with one decimal, or far from the origin in single precision."""
+    """Whether coordinates are rounded to steps (a single decimal, or single precision far from the
+    origin) that leave edges flat by chance although there is noise."""
     gaps = [np.diff(np.unique(column)).min(initial=np.inf) for column in mesh.vertices.T]
     least, most = (bound * mesh.mean_edge_length for bound in ROUNDING)
     return all(least <= gap <= most for gap in gaps)
 
 
 def _is_mirrored(mesh: Mesh, verdict: Verdict) -> bool:
-    """Whether nearly all vertices have mirror images, as noise leaves none; single outliers do."""
+    """Whether nearly all vertices have mirror images, which only outliers would leave."""
     used = np.flatnonzero(mesh.topology.has_ring)
     return verdict.kind != "outliers" and are_mirrored(mesh, used, MIN_MIRRORED)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
-    """Both readings, the more probable first: noise of a level, or all of it surface."""
+    """Both readings, the more probable first: noise of this level, or texture only."""
     readings = Reading(NOISE, level, noise), Reading(TEXTURE, 0.0, 1.0 - noise)
     return readings if noise >= 0.5 else readings[::-1]
 
@@ -598,7 +598,8 @@ def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
 def _without_noise(
     white: WhiteEstimate, probability: float, basis: str, highest: float = 0.0
 ) -> Estimate:
-    """No noise, or less than can be seen; where that is unsure, up to the ``highest`` level."""
+    """The estimate that there is no noise, or not enough to be seen; ``highest`` is the level that
+    it may have if that is unsure."""
     noise = dataclasses.replace(
         white.level,
         mean_edges=0.0,
@@ -616,11 +617,11 @@ def _without_noise(
 
 
 def _least_probabilities(evidence: Evidence) -> dict[str, float]:
-    """From which probability each kind is possible: above 1 where what describes it is missing."""
+    """The smallest probability of each kind; infinite if a measurement for it is missing."""
     steps = evidence.steps
     has_depths = steps.axis is not None and steps.along_gain > MIN_GAIN
     if steps.axis is not None and not has_depths:
-        # Rows of a range scan are in steps within the surface, which the mesh does not face.
+        # The rows of a range scan are steps along an axis within the surface, not across it.
         has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
     is_known = {
         "white": _may_be_white(evidence),
@@ -635,7 +636,7 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
 
 
 def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[str, Any]:
-    """What a ``NoiseCharacter`` of the kind of the verdict has, and on what that rests."""
+    """The fields of the ``NoiseCharacter`` for a verdict, with the basis in words."""
     kind, far_off = verdict.kind, max(evidence.outliers, tail)
     values: dict[str, Any] = {"kind": kind}
     if kind in SHARED_KINDS:
@@ -665,7 +666,7 @@ def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[st
 
 
 def _describe_fits(evidence: Evidence) -> str:
-    """Such as ``fits leave 0.056 e over two rings, 0.14 e over six``."""
+    """The basis in words, such as ``fits leave 0.056 e over two rings, 0.14 e over six``."""
     two, six = (np.sqrt(max(evidence.survey.quantile(fit, 0.2), 0.0)) for fit in (TWO, SIX))
     if not np.isfinite(six):
         return f"fits leave {two:.2g} e over two rings"

@@ -1,13 +1,13 @@
-"""Noise that is along an axis: as from one view, or depths in steps.
+"""Noise along an axis, as of a scan from one view, and quantised depths.
 
-Noise along an axis leaves less to fits where the surface is steep to the axis: by the square of
-the cosine.  And it moves vertices within the surface there, along the axis and not across it.
-Isotropic noise moves them within the surface as much as out of it, and by chance.
+Noise along an axis leaves less residual variance where the surface is steep to the axis, by the
+square of the cosine, and there it displaces vertices tangentially along the axis but not across it.
+Isotropic noise displaces them tangentially as much as along the normals, and independently.
 
-Where depths are rounded along an axis, or the surface is made of voxels, differences between
-neighbours are multiples of one step, exactly, and what fits leave over is as large as the step
-makes it.  Both are needed: the coordinates of a regular grid come in steps too, and of a box on it
-no fit leaves anything.
+If depths are rounded along an axis, or the surface is made of voxels, coordinate differences
+between neighbours are exact multiples of one step, and the residuals have the variance of rounding
+to it.  Both conditions are needed: the coordinates of a regular grid, or of a box on it, come in
+steps too, but leave no residuals.
 """
 
 import itertools
@@ -31,81 +31,81 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 MAX_GROUPS = 24
-"""Groups of places with alike normals."""
+"""Largest number of groups of places with similar normals."""
 
 MIN_IN_GROUP = 8
 MIN_PLACES = 60
-"""Places that a direction can be seen from."""
+"""Places that are needed to measure an axis."""
 
 LOW_SHARE = 0.25
-"""Share of the places of a group whose surface is taken for flat."""
+"""Quantile of the variances of a group that is its level; these places count as flat."""
 
 CLOSE = 0.02
-"""Squared sine of the angle to all groups below which no other group is needed."""
+"""Groups are added while a normal has a larger squared sine of its angle to each of them."""
 
 ROUNDS = 8
-"""Rounds of the fit in which groups with more texture count for less."""
+"""Iterations of the fit, which reduce the weight of groups with texture."""
 
 GRAIN, MAX_ERROR = 0.02, 3.0
-"""Added to squared cosines before they are compared; the greatest error of a logarithm that
-counts."""
+"""Constant added to squared cosines and to ratios of variances before logarithms are compared; and
+the largest error of a logarithm that counts."""
 
 FACING = 0.1
-"""Mean squared cosine of a group's normals to the axis from which the level is measured there."""
+"""Mean squared cosine to the axis above which a group of normals counts for the level."""
 
 HOPELESS = 0.4
-"""Axes with a misfit so much greater than that without an axis are not turned in search of
-better."""
+"""Candidates whose misfit exceeds that without an axis by more are not refined."""
 
 TURNS = (0.3, 0.15, 0.08, 0.04)
-"""Tangents of the angles by which an axis is turned in search of a better one."""
+"""Tangents of the angles by which an axis is turned to refine it."""
 
 
 CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
-"""An axis is clear where vertices move along it within the surface by this share of the level at
-least, and so many times as far as across it."""
+"""An axis is clear if tangential displacements along it are at least this share of the level, and
+so many times those across it."""
 
 PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
-"""An axis with this gain is plain, since texture and uneven noise gain less; movement and contrast
-need to be no more than these."""
+"""For an axis with a larger gain than the first, which texture and uneven noise do not reach, the
+other two are the bounds of displacements and contrast."""
 
 MAX_EXCESS = 1.4
-"""Greatest movement along the axis, in levels, where the contrast is low: more is no noise."""
+"""Largest displacement along the axis over the level with which the lower bound of the contrast
+applies; more is no noise."""
 
 MIN_OF_SLIDE = 0.85
-"""The level is at least this share of that movement."""
+"""The level is at least this share of that displacement."""
 
 LINKED, LINKED_CONTRAST, LINKED_SLIDE = 0.33, 3.0, (0.5, 1.8)
-"""Bounds for noise along an axis: the agreement of movement within the surface with that out of it,
-the contrast of the movement, and its least and greatest size in levels.  On eleven models noise
-along an axis has agreements of 0.33 to 0.79 and contrasts of 2 to 14; other noise has at most 0.3,
-or a contrast of at most 1.7."""
+"""Bounds for noise along an axis: the smallest agreement of tangential and normal displacements,
+the smallest contrast, and the smallest and largest tangential displacement over the level.  On
+eleven models noise along an axis has agreements of 0.33 to 0.79 and contrasts of 2 to 14; other
+noise has at most 0.3, or a contrast of at most 1.7."""
 
 STEEP = 0.3
-"""Sine of the angle between normal and axis from which movement along it can be seen."""
+"""Sine of the angle of normal and axis above which tangential displacements are measured."""
 
 FLAT_COSINE = 0.25
-"""Squared cosine of a normal to the axis from which the level is measured at a place."""
+"""Squared cosine of a normal to the axis above which a place counts for the level."""
 
 
 @dataclass(frozen=True)
 class AxisEvidence:
-    """How well noise along an axis explains what is left over."""
+    """How well noise along an axis explains residuals and displacements."""
 
     axis: Floats  # (3,) unit vector
-    # misfit, without: mean error of the logarithms of variances along the axis, and along normals
+    # misfit, without: mean error of the logarithms of variances if the noise is along the axis, and
+    # if it is along the normals
     misfit: float
     without: float
-    slide: float  # standard deviation of vertices within the surface along the axis, mean edges
-    contrast: float  # that over the one across the axis
-    level: float  # standard deviation along the axis, mean edges, taken for white
-    # how much more often than not the ways of a vertex within the surface and out of it are along
-    # the axis, -1 to 1
+    slide: float  # standard deviation of tangential displacements along it, mean edges
+    contrast: float  # slide over the same across the axis
+    level: float  # standard deviation along the axis, mean edges, if the noise is white
+    # mean product of the signs of tangential and normal displacements along the axis, -1 to 1
     agreement: float
 
     @property
     def is_linked(self) -> bool:
-        """Whether vertices that slide along the axis are out of the surface along it as well.
+        """Whether tangential displacements along the axis come with normal ones, as noise does.
 
         Neither relief nor uneven triangles link the two.
         """
@@ -115,8 +115,8 @@ class AxisEvidence:
 
     @property
     def is_clear(self) -> bool:
-        """Whether vertices slide along the axis as much as noise along it makes them."""
-        # Those that share noise slide less.
+        """Whether tangential displacements along the axis are as large as those of noise."""
+        # Displacements by correlated noise are smaller.
         least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
         if self.excess < least * self.level:
             return False
@@ -125,36 +125,37 @@ class AxisEvidence:
 
     @property
     def excess(self) -> float:
-        """Standard deviation along the axis by how much more vertices slide along it."""
+        """Standard deviation along the axis by the excess of displacements along it."""
         return self.slide * math.sqrt(max(1.0 - 1.0 / max(self.contrast, 1.0) ** 2, 0.0))
 
     @property
     def best_level(self) -> float:
-        """Standard deviation along the axis, if the noise is white: by what fits leave over, within
-        what the vertices slide, which shape does not add to."""
+        """Standard deviation along the axis, if the noise is white: by residuals, within bounds by
+        the displacements, to which shape does not add."""
         if not self.is_clear:
             return self.level
         return min(max(self.level, MIN_OF_SLIDE * self.excess), self.excess)
 
     @property
     def gain(self) -> float:
-        """How much better the axis explains the variances than the normals do."""
+        """How much smaller the misfit with the axis is than that with the normals."""
         return self.without - self.misfit
 
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Places by their normals."""
+    """Places grouped by their normals."""
 
-    # variances, normals: (c,), scaled to the level of noise, and (c, 3), of the places
+    # variances, normals: of the places, residual variances (c,) scaled to that of noise, and (c, 3)
     variances: Floats
     normals: Floats
-    levels: Floats  # (g,) low variance of each group
-    squares: Floats  # (g, 3, 3) mean products of the coordinates of the normals
+    levels: Floats  # (g,) quantile ``LOW_SHARE`` of the variances of each group
+    squares: Floats  # (g, 3, 3) mean outer products of the normals
     counts: Floats  # (g,) number of places
 
     def misfit(self, axis: Floats | None) -> float:
-        """Mean error of the logarithms of the levels, for noise along an axis or the normals."""
+        """Mean error of the logarithms of the levels for noise along an axis; None for the
+        normals."""
         if axis is None:
             return self.misfit_of(np.ones(len(self.levels)))
         return self.misfit_of(self.cosines(axis[None])[0])
@@ -166,7 +167,7 @@ class Groups:
         return cosines
 
     def misfit_of(self, cosines: Floats) -> float:
-        """Mean error of the logarithms of levels that go by squared ``cosines`` (g,)."""
+        """Mean error of the logarithms of levels proportional to squared ``cosines`` (g,)."""
         faces = cosines > FACING
         if not faces.any():
             return math.inf
@@ -181,14 +182,14 @@ class Groups:
 
 
 def group_places(survey: Survey) -> Groups | None:
-    """The places by their normals; None where too few are alike."""
+    """Group the places by their normals; None if there are too few places or groups."""
     fit = THREE
     has = np.isfinite(survey.variances[:, fit]) & (survey.freedoms[:, fit] > 5.0)
     if has.sum() < MIN_PLACES:
         return None
     normals = survey.normals[has]
     scaled = survey.variances[has, fit] / chi_square_quantile(survey.freedoms[has, fit], LOW_SHARE)
-    # The first one is along what most are along.
+    # The first one is nearest to the principal axis of the normals.
     current = int(np.abs(normals @ np.linalg.eigh(normals.T @ normals)[1][:, 2]).argmax())
     distances = np.full(len(normals), np.inf)
     labels = np.zeros(len(normals), dtype=np.int64)
@@ -213,7 +214,7 @@ def group_places(survey: Survey) -> Groups | None:
 
 
 def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
-    """The axis that the noise is along, if it is along any; None where that cannot be seen."""
+    """The axis with the smallest misfit; None if none is promising."""
     without = groups.misfit(None)
     best, misfit = None, math.inf
     for candidate in (_main_axis(groups), find_main_offset(survey.offsets)):
@@ -226,7 +227,7 @@ def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
 
 
 def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
-    """What speaks for noise along an axis (3,)."""
+    """The evidence for noise along an axis (3,)."""
     slide, across, agreement = _measure_slides(survey, axis)
     cosines = (groups.normals @ axis) ** 2
     faces = cosines > FLAT_COSINE
@@ -234,7 +235,7 @@ def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
     if faces.any():
         level = math.sqrt(quantile(groups.variances[faces] / cosines[faces], LOW_SHARE))
     return AxisEvidence(
-        # Its largest coordinate is positive.
+        # The sign makes the largest coordinate positive.
         axis=axis if axis[np.abs(axis).argmax()] > 0.0 else -axis,
         misfit=groups.misfit(axis),
         without=groups.misfit(None),
@@ -246,7 +247,7 @@ def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
 
 
 def _main_axis(groups: Groups) -> Floats:
-    """Main axis of the covariance C for which n' C n is nearest to the groups' variances."""
+    """Principal axis of the covariance C of noise for which n' C n fits the groups' levels."""
     levels, squares, counts = groups.levels, groups.squares, groups.counts
     rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
     design = np.ascontiguousarray(squares[:, rows, columns]) * np.array(
@@ -257,7 +258,7 @@ def _main_axis(groups: Groups) -> Floats:
     floor = 1e-3 * float(levels.max())
     axes = np.eye(3)
     for _ in range(ROUNDS):
-        # Texture adds to groups, and nothing takes away from them.
+        # Texture only adds variance, so groups above the fit get less weight.
         too_much = np.minimum(1.6 * fitted / np.maximum(levels, 1e-300), 1.0)
         weights = np.sqrt(counts) * too_much / (fitted + floor)
         weighted = design * weights[:, None]
@@ -274,7 +275,8 @@ def _main_axis(groups: Groups) -> Floats:
 
 
 def find_main_offset(offsets: Floats) -> Floats:
-    """Direction in which vertices are furthest off the middles of their rings."""
+    """Principal axis of the offsets (c, 3) from the means of the one-rings; long ones are
+    clipped."""
     lengths = np.sqrt((offsets * offsets).sum(axis=1))
     most = 2.0 * median(lengths)
     clipped = offsets * (np.minimum(lengths, most) / np.maximum(lengths, 1e-300))[:, None]
@@ -283,13 +285,13 @@ def find_main_offset(offsets: Floats) -> Floats:
 
 
 def _refine(axis: Floats, groups: Groups) -> tuple[Floats, float]:
-    """The axis near by with the least misfit, and that."""
+    """The axis near this one with the smallest misfit, and that misfit."""
     least = groups.misfit(axis)
     angles = np.arange(8) * (math.pi / 4.0)
     for turn in TURNS:
         across = np.linalg.svd(axis[None])[2][1:]
-        ways = np.cos(angles)[:, None] * across[0] + np.sin(angles)[:, None] * across[1]
-        others = axis + turn * ways
+        directions = np.cos(angles)[:, None] * across[0] + np.sin(angles)[:, None] * across[1]
+        others = axis + turn * directions
         others /= math.sqrt(1.0 + turn * turn)
         for other, cosines in zip(others, groups.cosines(others), strict=True):
             error = groups.misfit_of(cosines)
@@ -299,9 +301,9 @@ def _refine(axis: Floats, groups: Groups) -> tuple[Floats, float]:
 
 
 def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
-    """Standard deviation of vertices within the surface along an axis, as if all were along it, and
-    across it; and how much more often than not vertices are off the middles of their rings to one
-    side of the axis by their ways within the surface and out of it, where it is oblique."""
+    """Standard deviations of tangential displacements along an axis, as a displacement along the
+    axis itself, and across it; and the mean product of the signs of tangential and normal
+    displacements along it, where the surface is oblique to the axis."""
     normals, offsets = survey.normals, survey.offsets
     cosines = normals @ axis
     along = axis - cosines[:, None] * normals
@@ -315,9 +317,9 @@ def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
         agreement = float((np.sign(out) * np.sign(within))[oblique].mean())
     if steep.sum() >= MIN_PLACES // 2:
         along = along[steep] / sines[steep][:, None]
-        ways = (offsets[steep] * along).sum(axis=1) / sines[steep]
+        slides = (offsets[steep] * along).sum(axis=1) / sines[steep]
         other = (offsets[steep] * np.cross(normals[steep], along)).sum(axis=1)
-        slide = PER_MEDIAN * median(np.abs(ways))
+        slide = PER_MEDIAN * median(np.abs(slides))
         across = PER_MEDIAN * median(np.abs(other))
     return slide, across, agreement
 
@@ -325,71 +327,71 @@ def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
 # Depths in steps
 
 MIN_STEP = 0.05
-"""Mean edge lengths: shorter steps are those of the file's digits, and no noise to speak of."""
+"""Mean edge lengths: shorter steps come from the digits of the file, and are negligible."""
 
 SAME = 2e-3
-"""Mean edge lengths below which two depths are the same."""
+"""Mean edge lengths below which two depths are equal."""
 
 FIRST_SHARE = 0.02
-"""Share of the differences that may be less than a step, for other reasons."""
+"""Share of the differences that may be less than a step for other reasons."""
 
 ON_STEP, MOSTLY = 0.02, 0.97
-"""Distance from a multiple, in steps, that counts as one, and the share that has to."""
+"""Distance from a multiple, in steps, up to which a difference is one, and the share of differences
+that have to be multiples."""
 
 MIN_DIFFERENCES = 100
 
 OBLIQUE = (0.05, 0.95)
-"""Squared cosines between which a place is oblique to the axis, where terraces are."""
+"""Squared cosines to the axis between which a place is oblique and shows terraces."""
 
 MIN_OBLIQUE = 0.08
-"""Share of oblique places from which they alone are looked at."""
+"""Share of oblique places above which the others do not count."""
 
 
 PARALLEL = 1e-6
-"""One less the cosine of the angle up to which edges have one direction."""
+"""Edges are parallel if the absolute cosine of their angle is at least 1 minus this."""
 
 MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
-"""Edges whose directions are counted; the most frequent directions of which pairs are tried, as
-many as marching cubes have along axes and diagonals; and the least share of edges with such a
-direction."""
+"""Number of edges whose directions are counted; number of the most frequent directions whose pairs
+are tried, which is that of marching cubes along axes and diagonals; and the smallest share of edges
+that such directions have."""
 
 ACROSS = 2e-3
-"""Cosine between axes of a grid at most."""
+"""Largest cosine between axes of a grid."""
 
 
 MAX_PAIRS, MAX_COMPARED, MAX_STEP_AXES = 200, 400, 4
-"""Pairs of edges whose planes are tried as planes of equal depth, edges that are compared with each
-plane, and planes whose steps are measured."""
+"""Number of pairs of edges whose planes are tried as planes of equal depth, number of edges that
+are compared with each plane, and number of planes whose steps are measured."""
 
 MIN_SINE, PARALLEL_SINE, MIN_LEVEL_SHARE = 0.3, 1e-4, 0.05
-"""Least sine of the angle within a pair, greatest sine between a plane and an edge in it, and the
-least share of all edges in a plane."""
+"""Smallest sine of the angle between the edges of a pair, largest sine of the angle between a plane
+and an edge in it, and smallest share of the edges in a plane."""
 
 OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
-"""Root mean square distance of terraces from the surface, in their heights, where these are the
-same in all directions (to ``SAME_HEIGHT``) and where not; medians over ten closed shapes, the
-second with slices of three voxels.  Shapes differ by 10 and 40 %."""
+"""Root mean square distance of terraces from the surface, in units of their height, if heights are
+the same in all directions (up to the factor ``SAME_HEIGHT``) and if not: medians over ten closed
+shapes, the second with slices of three voxels.  Shapes differ by 10 and 40 %."""
 
 ACROSS_SLICES = 0.23
-"""The same in heights across the surface, their root mean square over the places, where heights
-differ: shapes differ by 20 %."""
+"""The same for other terraces, over the root mean square height along normals; within 20 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepEvidence:
-    """Steps in the differences between neighbours, whatever they come from."""
+    """Steps in the coordinate differences between neighbours, whatever their cause."""
 
-    n_axes: int = 0  # along how many axes of a grid there are steps, 0 to 3
-    # (3,) unit vector across the steps; None where there are none, or along all axes
+    n_axes: int = 0  # number of grid axes with steps, 0 to 3
+    # (3,) unit vector along which depths are rounded; None for no steps, or steps along all axes
     axis: Floats | None = None
-    step: float = 0.0  # the widest, mean edges; of terraces their height.  0 for none
-    level: float = 0.0  # standard deviation that such steps make, mean edges
-    facing_level: float = 0.0  # the same by the directions that the surface faces
-    voxel_share: float = 0.0  # share of the edges that marching cubes over voxels could have
-    is_turned: bool = False  # whether the grid is not along the axes of the file
-    # by how much the axis explains better what is left over than the normals do
+    step: float = 0.0  # the largest, mean edges; for terraces their height; 0 for none
+    level: float = 0.0  # standard deviation of rounding to such steps, mean edges
+    facing_level: float = 0.0  # the same, weighted by the directions of the normals
+    voxel_share: float = 0.0  # share of the edges possible in marching cubes over voxels
+    is_turned: bool = False  # whether the grid is rotated relative to the file's axes
+    # gain of the axis, see ``AxisEvidence.gain``
     along_gain: float = 0.0
-    # what is left over where the surface is oblique to the steps, in squared steps / 12
+    # residual variance where the surface is oblique to the steps, over step^2 / 12
     roughness: float = 0.0
 
 
@@ -417,8 +419,8 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         step = 2.0 * max(steps)
         normals = survey.normals @ frame.T
         is_even = max(steps) < SAME_HEIGHT * min(steps)
-        # Vertices of marching cubes over binary voxels are in the middles of the voxels' edges, so
-        # that coordinates of edges, in steps, have an even sum; those of other grids odd ones too.
+        # Marching cubes over binary voxels put vertices on the midpoints of voxel edges, so the
+        # coordinates of mesh edges, in steps, have an even sum; on other grids the sum may be odd.
         sums = np.round(differences @ frame.T / np.array(steps)).sum(axis=1)
         level = (OF_VOXELS if is_even else OF_SLICES) * step
         across = 2.0 * math.sqrt(float(((normals * steps) ** 2).sum(axis=1).mean()))
@@ -448,12 +450,12 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
 
 
 def _find_step_axis(differences: Floats, some: Floats) -> Floats | None:
-    """The direction across which many edges lie exactly, if the parts along it of their vectors
-    (d, 3) come in steps, None where there is none; ``some`` (k, 3) are directions of edges."""
+    """The direction exactly orthogonal to many edges along which the edge vectors ``differences``
+    (d, 3) come in steps; None if there is none.  ``some`` (k, 3) are directions of edges."""
     if len(some) < MIN_DIFFERENCES:
         return None
     first = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64)]
-    # Next to one another in a ring.
+    # The next edge in the same one-ring.
     second = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64) + 1]
     across = np.cross(first, second)
     sizes = np.sqrt((across * across).sum(axis=1))
@@ -472,7 +474,8 @@ def _find_step_axis(differences: Floats, some: Floats) -> Floats | None:
 def _roughness(
     survey: Survey, fit: int, squares: Floats, scale: Floats | None, step: float
 ) -> float:
-    """What fits leave over in squared steps / 12, where the surface is oblique to the axis."""
+    """Median residual variance over step^2 / 12 where the surface is oblique to the axis, or where
+    it is not if few places are; ``scale`` (c,) divides the variances."""
     variances = survey.variances[:, fit]
     has = np.isfinite(variances) & (squares > OBLIQUE[0])
     oblique = has & (squares < OBLIQUE[1])
@@ -490,8 +493,8 @@ def _axis_steps(differences: Floats) -> list[float]:
 
 
 def _find_frames(directions: Floats) -> Iterator[Floats]:
-    """Axes (3, 3), one a row, of turned grids that edges with these directions (d, 3) may lie on:
-    two of the most frequent directions across one another, and the third one."""
+    """Frames (3, 3), one axis in each row, of rotated grids on which edges with these directions
+    (d, 3) may lie: two orthogonal ones of the most frequent directions, and their cross product."""
     some = np.ascontiguousarray(directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)])
     counts = np.empty(len(some), dtype=np.int64)
     count_parallel(some, np.ascontiguousarray(directions.T), 1.0 - PARALLEL, counts)
@@ -510,7 +513,7 @@ def _find_frames(directions: Floats) -> Iterator[Floats]:
 
 
 def _step(differences: Floats) -> float:
-    """The step of which differences without sign (d,) are multiples; 0 for none."""
+    """The step of which absolute differences (d,) are multiples; 0 if there is none."""
     some = differences[differences > SAME]
     if len(some) < MIN_DIFFERENCES:
         return 0.0

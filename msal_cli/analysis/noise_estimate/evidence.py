@@ -1,15 +1,15 @@
-"""What speaks for noise and what for design or texture, as numbers for the classifier.
+"""Features for the classifier that tell noise from design and texture.
 
-Noise is everywhere on a scan: what fits leave over has a floor, at every place and over every
-width, and heights of neighbours go against one another.  Design is not: flats are flat to
-rounding, lengths repeat exactly, curvature ends at edges.  Every number is free of scale: after the
-levels by each measurement, logarithms are of ratios to what degree 2 over two rings leaves at half
-of the places.
+On a scan noise is everywhere: residuals of fits have a floor, at each vertex and over each number
+of rings, and heights of neighbours are negatively correlated.  Designs have faces that are flat up
+to rounding, repeated lengths, and curvature that ends at edges.  All features are free of scale:
+the first are logarithms of levels in mean edge lengths, the others of ratios to the median residual
+of quadratics over two rings.
 
-White noise leaves the same variance to fits over any number of rings.  Noise that was averaged
-over closed one-rings leaves little to fits over few of them, and more to wider ones; ``LEFT`` says
-how much.  What the surface itself leaves grows with the width too, but differs from place to
-place, where noise has a floor: ``SHARP``.
+White noise leaves the same residual variance over any number of rings.  Noise averaged over closed
+one-rings leaves little to fits over few rings, and more to wider ones, as ``LEFT`` has it.  The
+residual of the surface itself grows with the number of rings too, but differs over the surface,
+where noise has a floor (``SHARP``).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from msal_cli.light_dataclass import dataclass
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-# Over how many rings noise is shared
+# Over how many rings noise is correlated
 
 LEFT = np.array(
     [
@@ -64,8 +64,8 @@ LEFT = np.array(
         [0.0263, 0.0245, 0.0255, 0.0829, 0.2661],
     ]
 )
-"""Variance that the fits of the survey leave over, by the degrees of freedom, of noise with
-variance 1 averaged 0 to 4 times over closed one-rings of a regular triangle grid (r, fit)."""
+"""Residual variance per degree of freedom of the fits of the survey, for noise of variance 1
+averaged 0 to 4 times over closed one-rings of a regular triangle grid (r, fit)."""
 
 FREEDOMS = np.array(
     [
@@ -76,82 +76,83 @@ FREEDOMS = np.array(
         [3.1, 4.5, 6.4, 8.3, 12.9],
     ]
 )
-"""Degrees of freedom of chi square with the same mean and variance (r, fit)."""
+"""Degrees of freedom of the chi-square distribution with the same mean and variance (r, fit)."""
 
 FLOOR, FLAT = 0.05, 0.2
-"""Shares of the places at whose variances the level by scale is read."""
+"""Quantiles of the variances by which the level at each scale is estimated."""
 
 SEEN = 0.35
-"""Share of the places without creases and texture that ``FLAT`` of all is, as a rule."""
+"""The quantile of places without creases and texture that ``FLAT`` of all usually is."""
 
 WEIGHTS = np.array([0.0, 1.0, 1.0, 1.0, 0.7])
-"""How much the fits count.  The one-ring's takes up most of the noise itself, and does not."""
+"""Weights of the fits.  That over one ring follows most of the noise itself, and has 0."""
 
 ABOVE = np.array([0.6, 0.6, 0.5, 0.25, 0.08])
-"""Weight of variance above the expected one, by fit; variance below it has 1.  The surface explains
-more variance, and nothing explains less."""
+"""Weight of variance above the expected one, by fit; variance below it has weight 1.  The surface
+adds to the residual variance, and never reduces it."""
 
 MAX_ABOVE = 0.5
-"""Greatest square that such an excess counts for."""
+"""Largest squared error that counts for variance above the expected one."""
 
 FINE = np.array([0.97, 0.79, 0.40, 0.27, 0.20])
 FINE_WEIGHT, MAX_FINE = 0.1, 0.03
-"""The level for white noise over that by the fit over two rings, by the number of averages,
-measured on noise of 0.2 on 12 shapes; the weight of its error, and the most that it counts for."""
+"""The level of white noise over the level by the fit over two rings, by the number of averages,
+measured with noise of 0.2 on 12 shapes; the weight of the squared error of its logarithm, and the
+largest value that counts."""
 
 WHITE_FINE = 0.88
-"""The same ratio, above which neighbours share nothing."""
+"""The same ratio above which noise is not correlated."""
 
 MIN_RISE = 1.2
-"""How much more of shared noise a fit over four rings leaves than one over two, at least."""
+"""Smallest ratio of the levels by fits over four and over two rings that correlated noise has."""
 
 PER_RING = 0.02
-"""How much less misfit one ring more has to bring, since the surface looks like more rings."""
+"""Reduction of the misfit that one more ring needs, because the surface looks like more rings."""
 
 DOUBT = 0.006
-"""Difference of misfits by which the weight of a number of rings in the level falls to a third."""
+"""Difference of misfits that divides the weight of a number of rings in the level by e."""
 
 SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
-"""Least ratios of standard deviations at ``FLOOR`` and ``FLAT``, by fit, of noise of any kind;
-texture and shape are below one of them."""
+"""Smallest ratios of standard deviations at the quantiles ``FLOOR`` and ``FLAT``, by fit, of noise
+of any kind; texture and shape are below one of them."""
 
 
 LOUD_LEVEL = 0.12
 SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
-"""The same for levels from so many mean edges on, which fine texture seldom has."""
+"""The same for levels above ``LOUD_LEVEL`` mean edge lengths, which fine texture seldom has."""
 
 PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
-"""Sharpness, by fit, that shape which repeats reaches and shared noise does not."""
+"""Sharpness, by fit, that repeating patterns exceed and correlated noise does not."""
 
 RELIEF_SHARP, RELIEF_GROWTH = 0.8, 1.22
-"""Sharpness of fits over six rings, and growth from four rings to six, compared with that of noise,
-from which there is relief everywhere."""
+"""If sharpness of fits over six rings, and growth of the level from four rings to six relative to
+that of noise, are both greater, there is relief everywhere."""
 
 SMOOTH_GROWTH = 0.97
-"""Ratio of what degree 3 over three rings leaves to what degree 2 over two does, below which that
-is smooth relief; shared noise has 1 to 1.16."""
+"""Ratio of the residuals of cubics over three rings and quadratics over two below which they are
+smooth relief; correlated noise has 1 to 1.16."""
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Over how many rings noise is shared."""
+    """The correlation length of noise, in rings, and what it is derived from."""
 
     rings: int  # 0 to 4
-    level: float  # standard deviation, mean edges
-    misfit: float  # what is left unexplained, as a mean error of logarithms of standard deviations
-    margin: float  # by how much other numbers of rings are worse
+    level: float  # standard deviation, mean edge lengths
+    misfit: float  # root mean square error of the logarithms of standard deviations
+    margin: float  # by how much the misfit of the next best number of rings is greater
     sharpness: Floats  # (5,), by fit
-    is_floor: bool  # whether what wide fits leave over is as even as only noise is, and no pattern
-    is_relief: bool  # whether a smooth relief that is the same everywhere would leave that, too
-    is_pattern: bool  # whether it is more even than shared noise is: shape that repeats
+    is_floor: bool  # whether residuals are as uniform as only noise is, and no pattern
+    is_relief: bool  # whether smooth relief all over the surface would leave the same
+    is_pattern: bool  # whether residuals are more uniform than correlated noise: a pattern
 
 
 def find_colour(
     survey: Survey, scale: Floats | None = None, fine: float | None = None
 ) -> Colour | None:
-    """The colour of the noise, where it is alike everywhere but for ``scale`` (c,), by which the
-    variances are divided; None where too little is known.  ``fine`` is the level for white noise,
-    mean edges, where that is of all places."""
+    """The colour of the noise, which is uniform except for ``scale`` (c,), by which variances are
+    divided; None if there is too little data.  ``fine`` is the level of white noise, mean edge
+    lengths, if it is that of the whole mesh."""
     floors = np.array([survey.quantile(fit, FLOOR, scale) for fit in range(5)])
     flats = np.array([survey.quantile(fit, FLAT, scale) for fit in range(5)])
     has = np.isfinite(flats) & (flats > 1e-12)
@@ -162,7 +163,7 @@ def find_colour(
     expected = LEFT * chi_square_quantile(FREEDOMS, SEEN)
     levels = np.log(flats)[None] - np.log(expected)
     weights = np.where(has, WEIGHTS, 0.0)
-    # Log variance of the noise on a grid about what each number of rings says.
+    # Costs of log variances on a grid around the weighted mean, for each number of rings.
     steps = np.linspace(-1.5, 1.0, 126)
     middle = (levels * weights).sum(axis=1) / weights.sum()
     tried = middle[:, None] + steps[None]
@@ -190,8 +191,7 @@ def find_colour(
     level = math.exp(logarithm)
     is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
     least_sharpness = SHARP_LOUD if level > LOUD_LEVEL else SHARP
-    # Whether fits leave more than such noise would.  Creases add to wide fits too, but not
-    # everywhere.
+    # Whether residuals grow more than those of such noise.  So do creases, but not everywhere.
     growth = float(by_scale[SIX] / by_scale[FOUR])
     growth /= math.sqrt(LEFT[rings, SIX] / LEFT[rings, FOUR])
     is_wide = sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH
@@ -208,48 +208,49 @@ def find_colour(
     )
 
 
-# Levels by region, where the noise is not the same everywhere
+# Levels by region, for uneven noise
 
 MAX_REGIONS, MIN_PLACES = 16, 20
-"""Regions of the survey, and the places that each has on average."""
+"""Largest number of regions of the survey, and the vertices that each has on average at least."""
 
 REGION_SHARES = (0.1, 0.3, 0.4, 0.5)
-"""Shares of the places of a region at which variances are read: the first and the last for
-``PURE``, the second for the region's level, the third for its part in the level of the mesh."""
+"""Quantiles of the variances of a region: the first and the last for ``PURE``, the second for the
+region's level, the third for its share in the level of the mesh."""
 
 PURE = 0.3
-"""Least ratio of the variances of a tenth and of half of the places in a region that is in one part
-of the mesh only."""
+"""Smallest ratio of the 10 % to the 50 % quantile of the variances in a region that is not split
+between a quiet and a noisy part."""
 
 LOUD_SHARE = 0.16
-"""Regions with less than this share of the greatest variance are quiet."""
+"""Regions with less than this share of the largest variance are quiet."""
 
 UNEVEN, MIN_LOUD = 2.5, 0.05
-"""Least ratio of the most to the least noisy region, and least level of the former, mean edges."""
+"""Smallest ratio of the levels of the most and the least noisy region, and smallest level of the
+former, mean edge lengths, for uneven noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Variances by region that differ, squared mean edge lengths."""
+    """Variances of the regions of uneven noise, squared mean edge lengths."""
 
-    # middles, labels: places (r,) that are middles, and the region of each place (c,)
+    # middles, labels: the vertices of the survey (r,) that are centres, and the region of each (c,)
     middles: Longs
     labels: Longs
-    lows: Floats  # lows, means: (r,) for the level and for its share in the level of all
+    lows: Floats  # lows, means: (r,) variances for the level of the region, and of the mesh
     means: Floats
-    is_pure: NDArray[np.bool_]  # (r,) whether a region is in one part of the mesh only
-    # (c,) variance of the region of each place; 0 where it is quiet, or between two parts
+    is_pure: NDArray[np.bool_]  # (r,) whether a region is not part quiet, part noisy
+    # (c,) variance of the region of each vertex; 0 where the region is quiet or not pure
     scale: Floats
 
 
 def find_differences(survey: Survey) -> Differences | None:
-    """Variances by region, if they differ by more than chance makes them."""
+    """Variances by region; None if the noise is not uneven."""
     has = np.isfinite(survey.variances[:, : TWO + 1]).all(axis=1)
     count = min(MAX_REGIONS, int(has.sum()) // MIN_PLACES)
     if count < 2:
         return None
     middles, labels = split_regions(survey.positions, count)
-    # Nearly all places have as many degrees of freedom.
+    # Nearly all vertices have the same degrees of freedom.
     freedoms = np.array([median(column) for column in survey.freedoms[has, : TWO + 1].T])
     factors = np.array([chi_square_quantile(freedoms, share) for share in REGION_SHARES[1:3]])
     lows, means = np.zeros(len(middles)), np.zeros(len(middles))
@@ -263,7 +264,7 @@ def find_differences(survey: Survey) -> Differences | None:
         few, low, some, half = np.sort(survey.variances[among, TWO])[ranks]
         known[region], is_pure[region] = True, few > PURE * half
         _, plane_low, plane_some, _ = np.sort(survey.variances[among, ONE])[ranks]
-        # Shape adds more to the wider fit, and the least of both would be too little on average.
+        # Shape adds to the wider fit, so the smaller one is used; its mean would be biased.
         lows[region] = min(low / factors[0, 1], plane_low / factors[0, 0])
         means[region] = math.sqrt(some / factors[1, 1] * plane_some / factors[1, 0])
     if known.sum() < 2:
@@ -287,16 +288,16 @@ def weigh_differences(differences: Differences) -> float:
 
 
 MIN_OUTLIERS = 0.004
-"""Share of the vertices from which they are outliers."""
+"""Share of the vertices above which those far off count as outliers."""
 
 OUTLYING, TIMES_USUAL, USUAL = 0.9, 3.5, 0.7
-"""Least distance of an outlier from the middle of its ring: in mean edge lengths, and as a multiple
-of the distance that the share ``USUAL`` of the vertices does not exceed."""
+"""Smallest distance of an outlier from the mean of its one-ring: in mean edge lengths, and as a
+multiple of the quantile ``USUAL`` of all distances."""
 
 
 def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
-    """Share of the vertices that lie far off their neighbours, and the median of their ways within
-    the surface, mean edges; 0 and 0 for too few."""
+    """Share of the vertices that lie far from the mean of their one-ring, and the median of their
+    tangential offsets, mean edge lengths; 0 and 0 if they are too few."""
     fewest = MIN_OUTLIERS * len(white.places)
     far = white.places[white.far]
     if len(far) <= fewest:
@@ -310,79 +311,77 @@ def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[fl
         return 0.0, 0.0
     along = (offsets * mesh.vertex_normals("uniform", 1)[far]).sum(axis=1)
     within = np.sqrt(np.maximum(squares - along * along, 0.0))
-    # Among many outliers some are not detected, but they are as far off.
+    # If there are many, ``white.far`` misses some, but they are as far off.
     share = max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
     return share, median(within[is_out])
 
 
-# The numbers
-
 LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
-"""The measurements of the level that the numbers begin with, as logarithms; mean edges."""
+"""The first features: logarithms of levels in mean edge lengths by different measurements."""
 
 SIZE = len(LEVELS)
-"""Which of the numbers is the logarithm of the number of vertices."""
+"""Index of the feature that is the logarithm of the number of vertices."""
 
 EDGE_LENGTHS = SIZE + 8, SIZE + 12
-"""Which of the numbers are logarithms of the lengths that 5 % and 95 % of the edges are below."""
+"""Indices of the features that are logarithms of the 5 % and 95 % quantiles of the edge lengths."""
 
 MISSING = -30.0
-"""In place of a number that is not known; all others are greater."""
+"""Value of a missing feature; all others are greater."""
 
 SHARES = (0.02, 0.1, 0.25, 0.5, 0.75, 0.95)
 OFFSET_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
 PAIRS = ((TWO, ONE), (THREE, TWO), (FOUR, THREE), (SIX, FOUR))
 TINY = 1e-7
-"""Mean edge lengths below which a deviation is rounding."""
+"""Mean edge lengths below which a deviation is a rounding error."""
 
 MAX_COUNTED = 4_000
-"""Vertices from which more say nothing of the noise."""
+"""Largest value of the feature for the number of vertices."""
 
 MAX_REPEATED_VERTICES = 40_000
-"""Vertices whose edges are compared in length: sorting more would take too long."""
+"""Only the edges of so many vertices are compared in length, since sorting more takes too long."""
 
 MAX_NEIGHBOUR_PLACES = 400
-"""Places whose neighbours' heights are compared with their own."""
+"""Most vertices whose heights are compared with those of their neighbours."""
 
 MIN_COSINE = 0.1
-"""Squared cosine to an axis from which a place says something of the noise along it."""
+"""Squared cosine of the normal to an axis above which a vertex shows noise along the axis."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Measurements of one mesh, and the numbers that are made of them."""
+    """Measurements of one mesh, and the features computed from them."""
 
-    survey: Survey  # fits over one to six rings
-    colour: Colour | None  # over how many rings the noise is shared, if it is alike everywhere
-    axis: AxisEvidence | None  # the best one for noise along an axis
+    survey: Survey  # residuals of fits over one to six rings
+    colour: Colour | None  # correlation of the noise, if it is uniform
+    axis: AxisEvidence | None  # the best axis for noise along an axis
     steps: StepEvidence  # depths in steps
-    differences: Differences | None  # levels by region, where they differ
+    differences: Differences | None  # levels by region, if the noise is uneven
     outliers: float  # share of the vertices that lie far off
-    # of the heights of neighbours, in the roughest third of the places; below 0 for noise that they
-    # do not share
+    # correlation of heights of neighbours in the roughest third; negative for white noise
     loud_correlation: float
     numbers: Floats  # (k,) for the classifier
 
     @property
     def edge_spread(self) -> float:
-        """Length that 95 % of the edges are below over that which 5 % are below; 1 if unknown."""
+        """Ratio of the 95 % and 5 % quantiles of the edge lengths; 1 if unknown."""
         low, high = (float(self.numbers[number]) for number in EDGE_LENGTHS)
         return math.exp(high - low)
 
 
 def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
-    """Measure all that the classifier knows of a mesh."""
+    """Compute all features of a mesh."""
     survey = take_survey(mesh, white.places)
     groups = group_places(survey)
     variances = white.fits.variances[:, FAR][white.fits.freedoms[:, FAR] > 0]
-    # Deviation from degree 2 over two rings at half of the places, mean edges.
+    # Median residual of quadratics over two rings, mean edge lengths.
     base = TINY
     if len(variances):
         base = max(math.sqrt(float(quantiles(variances, (0.5,))[0])) / white.edge, TINY)
     colour = find_colour(survey, fine=white.level.mean_edges)
     linked = fitted = axis = axis_colour = None
     if groups is not None:
-        # The axis along which vertices slide, and the one that explains best what is left over.
+        # The axis of the largest tangential displacements, and the one that fits the variances
+        # best.
         linked = weigh_axis(survey, groups, find_main_offset(survey.offsets))
         fitted = find_axis(survey, groups)
         axis = linked if linked.is_linked or fitted is None else fitted
@@ -436,7 +435,7 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
 
 
 def _log(value: float, base: float = 1.0) -> float:
-    """Logarithm of a length in mean edges, over a base; lengths below ``TINY`` count as that."""
+    """Logarithm of a length in mean edge lengths, at least ``TINY``, over a base."""
     return math.log(max(value, TINY) / base) if math.isfinite(value) else MISSING
 
 
@@ -463,7 +462,7 @@ def _size_numbers(mesh: Mesh, survey: Survey, white: WhiteEstimate, base: float)
 
 
 def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
-    """How often an edge has the length of another one, beyond chance, and how lengths spread."""
+    """The share of edges with equal lengths, beyond chance, and quantiles of lengths."""
     starts, ring = mesh.topology.ring_start, mesh.topology.ring
     n = min(len(mesh.vertices), MAX_REPEATED_VERTICES)
     lengths = np.empty(starts[n])
@@ -555,7 +554,7 @@ def _axis_numbers(axis: AxisEvidence | None, base: float) -> list[float]:
 
 
 def _offset_numbers(survey: Survey, base: float) -> list[float]:
-    """Ways of the vertices from the middles of their rings, out of the surface and within it."""
+    """Quantiles of normal and tangential offsets of vertices from the means of their one-rings."""
     if not len(survey.offsets):
         return [MISSING] * (2 * len(OFFSET_SHARES) + 3)
     out = (survey.offsets * survey.normals).sum(axis=1)
@@ -570,9 +569,9 @@ def _offset_numbers(survey: Survey, base: float) -> list[float]:
 
 
 def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
-    """How heights over the ring, and ways within the surface, go with those of neighbours.
+    """Correlations of offsets from the mean of the one-ring, normal and tangential, of neighbours.
 
-    White noise has a correlation of -0.24 on regular triangles, and smooth shape one near 1.
+    White noise has a correlation of -0.24 on regular triangles, smooth shape nearly 1.
     """
     step = max(-(-len(survey.vertices) // MAX_NEIGHBOUR_PLACES), 1)
     places, normals = survey.vertices[::step], survey.normals[::step]
@@ -581,7 +580,7 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
     if not len(of):
         return [MISSING] * 8
     others, valences = ring_offsets(mesh, neighbours)
-    # Scaled as those of the survey.
+    # The same scaling as in the survey.
     others *= np.sqrt(valences / (valences + 1.0))[:, None]
     others /= mesh.mean_edge_length
     heights = (own * normals).sum(axis=1)

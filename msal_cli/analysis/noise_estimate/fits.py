@@ -1,10 +1,11 @@
-"""Fits of polynomials to the surface at places of a mesh, and the level of white noise by them.
+"""Fits of polynomials around sampled vertices ("places"), and the level of white noise by them.
 
-What fits leave over is noise, and what the surface itself has beyond the polynomial: texture,
-creases.  White noise leaves the same to every fit, by its degrees of freedom, and everywhere;
-texture leaves more to coarser fits, and little to the flattest places.  So the level of white noise
-is what the fit with the least leaves over at the flattest fifth of some thousands of places, set
-right for having looked there.  The survey looks at some hundred places over one to six rings.
+The residual of a fit consists of noise, and of what the surface itself has beyond the polynomial:
+texture and creases.  White noise leaves the same residual variance per degree of freedom to each
+fit and everywhere; texture leaves more to coarser fits, and little in the flattest regions.  So the
+level of white noise is the smallest of the fits' residuals at their 20 % quantile over some
+thousands of places, divided by that quantile of the chi-square distribution.  The survey fits
+polynomials over one to six rings at some hundred places.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _NORMAL = {
     0.4: -0.2533471,
     0.5: 0.0,
 }
-"""Quantiles of the normal distribution."""
+"""Quantiles of the standard normal distribution."""
 
 MAX_FREEDOMS = 40
 
@@ -39,19 +40,19 @@ _FEW_FREEDOMS = {
     0.2: (0.0641848, 0.4462871, 1.0051740, 1.6487766),
     0.5: (0.4549364, 1.3862944, 2.3659739, 3.3566940),
 }
-"""Quantiles of chi square with 1 to 4 degrees of freedom."""
+"""Quantiles of the chi-square distribution with 1 to 4 degrees of freedom."""
 
 
 def quantile(values: Floats, share: float) -> float:
-    """The value (of at least one) below which a share of them lies; one of them, no mean of two."""
+    """The quantile ``share`` of at least one value: an element, without interpolation."""
     rank = int(share * (len(values) - 1))
     return float(np.partition(values, rank)[rank])
 
 
 def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
-    """What chi square over its degrees of freedom stays below with a probability of ``share``.
+    """Quantile ``share`` of the chi-square distribution over its degrees of freedom.
 
-    After Wilson and Hilferty 1931; right within 2 % from five degrees of freedom on.
+    By Wilson and Hilferty 1931, with an error below 2 % from five degrees of freedom on.
     """
     scale = 2.0 / (9.0 * np.maximum(freedoms, 1.0))
     ratios: Floats = np.maximum(1.0 - scale + _NORMAL[share] * np.sqrt(scale), 0.05) ** 3
@@ -60,8 +61,8 @@ def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
 
 @functools.cache
 def chi_square_table(share: float) -> Floats:
-    """The same for whole degrees of freedom up to ``MAX_FREEDOMS``; ``share`` is 0.2 or 0.5.  Right
-    within 0.6 % from one on."""
+    """The same quantiles for 0 to ``MAX_FREEDOMS`` degrees of freedom; ``share`` is 0.2 or 0.5.
+    The error is below 0.6 % from one degree of freedom on."""
     ratios = chi_square_quantile(np.arange(MAX_FREEDOMS + 1.0), share)
     ratios[1:5] = np.array(_FEW_FREEDOMS[share]) / np.arange(1.0, 5.0)
     return ratios
@@ -71,8 +72,8 @@ def chi_square_table(share: float) -> Floats:
 
 
 def ring_rows(mesh: Mesh, vertices: Longs) -> tuple[Longs, Longs, Longs]:
-    """The one-rings of vertices (c,) behind one another: for each neighbour (k,) which of the
-    vertices it belongs to, and its own number; and the valences (c,)."""
+    """The concatenated one-rings of vertices (c,): for each neighbour (k,) the index of its vertex
+    into ``vertices``, and its own vertex number; and the valences (c,)."""
     starts, ring = mesh.topology.one_ring
     counts = (starts[vertices + 1] - starts[vertices]).astype(np.int64)
     rows = np.repeat(np.arange(len(vertices)), counts)
@@ -81,7 +82,7 @@ def ring_rows(mesh: Mesh, vertices: Longs) -> tuple[Longs, Longs, Longs]:
 
 
 def ring_offsets(mesh: Mesh, vertices: Longs) -> tuple[Floats, Longs]:
-    """From the middles of the one-rings of vertices (c,), which may repeat, to these (c, 3), file
+    """Offsets (c, 3) of vertices (c,), which may repeat, from the means of their one-rings, file
     units; and the valences (c,)."""
     unique, where = np.unique(vertices, return_inverse=True)
     rows, neighbours, counts = ring_rows(mesh, unique)
@@ -95,27 +96,27 @@ def ring_offsets(mesh: Mesh, vertices: Longs) -> tuple[Floats, Longs]:
 # The survey
 
 MAX_PLACES = 640
-"""Places of the survey: more would add little, and take 15 microseconds each."""
+"""Largest number of places of the survey; each takes 15 microseconds, and more would add little."""
 
 ONE, TWO, THREE, FOUR, SIX = range(5)
-"""The fits, by the rings that they are over."""
+"""Indices of the fits, by their number of rings."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The places, and what fits leave over there; lengths are in mean edge lengths."""
+    """The places and the residuals of the fits there; lengths are in mean edge lengths."""
 
-    vertices: Longs  # (c,) the vertices that they are at
+    vertices: Longs  # (c,) vertex numbers of the places
     positions: Floats  # (c, 3)
-    # (c, 5) left over by each fit, by the degrees of freedom; NaN where there is none
+    # (c, 5) residual variance of each fit per degree of freedom; NaN if there is none
     variances: Floats
     freedoms: Floats  # (c, 5)
-    normals: Floats  # (c, 3) of the two-ring; unit vectors
-    offsets: Floats  # (c, 3) from the middle of the ring to the vertex; see ``kernels.patch_fits``
+    normals: Floats  # (c, 3) unit normals of the two-rings
+    offsets: Floats  # (c, 3) from the mean of the one-ring to the vertex, see ``patch_fits``
 
     def quantile(self, fit: int, share: float, scale: Floats | None = None) -> float:
-        """Variance that one fit leaves over at a share of the places, or of its ratio to ``scale``
-        (c,) where that is above 0; NaN where there is none."""
+        """Quantile ``share`` of the residual variance of one fit, or of its ratio to ``scale`` (c,)
+        where that is above 0; NaN if there is none."""
         values = self.variances[:, fit]
         if scale is not None:
             has = scale > 0.0
@@ -125,7 +126,7 @@ class Survey:
 
 
 def take_survey(mesh: Mesh, places: Longs) -> Survey:
-    """Look at some of the places (c,), evenly."""
+    """Fit polynomials over one to six rings at an even sample of the places (c,)."""
     at = np.arange(0, len(places), max(-(-len(places) // MAX_PLACES), 1))
     chosen = np.ascontiguousarray(places[at])
     normals = mesh.vertex_normals("uniform", 1)
@@ -148,17 +149,17 @@ def take_survey(mesh: Mesh, places: Longs) -> Survey:
     )
 
 
-# Regions of a mesh, each as far from the others as can be
+# Regions of a mesh, by farthest point sampling of their centres
 
 BLOCK_VERTICES = 1 << 14
-"""Vertices whose distances to all regions are in memory at a time."""
+"""Number of vertices whose distances to all regions are in memory at once."""
 
 
 def split_regions(vertices: Floats, count: int) -> tuple[Longs, Longs]:
-    """Which of the vertices (c, 3) are middles of ``count`` regions, each as far from the others as
-    can be; and which middle is the nearest to each vertex (c,)."""
+    """Choose ``count`` of the vertices (c, 3) as centres of regions by farthest point sampling;
+    returns their indices, and the nearest centre of each vertex (c,)."""
     axes = np.ascontiguousarray(vertices.T)
-    # The first one is the furthest from where they are on average.
+    # The first one is the farthest from the mean.
     distances = _squared_distances(axes, axes.mean(axis=1))
     middles = np.empty(count, dtype=np.int64)
     labels = np.zeros(len(vertices), dtype=np.int64)
@@ -174,7 +175,7 @@ def split_regions(vertices: Floats, count: int) -> tuple[Longs, Longs]:
 
 
 def find_nearest(vertices: Floats, middles: Floats) -> Longs:
-    """Which of the middles (r, 3) is the nearest to each of the vertices (n, 3)."""
+    """The index of the nearest of the centres (r, 3) for each of the vertices (n, 3)."""
     nearest = np.empty(len(vertices), dtype=np.int64)
     for first in range(0, len(vertices), BLOCK_VERTICES):
         axes = np.ascontiguousarray(vertices[first : first + BLOCK_VERTICES].T)
@@ -184,7 +185,7 @@ def find_nearest(vertices: Floats, middles: Floats) -> Longs:
 
 
 def _squared_distances(axes: Floats, point: Floats) -> Floats:
-    """Of positions, an axis a row (3, n), from a point (3,)."""
+    """Squared distances (n,) of positions, one row for each axis (3, n), from a point (3,)."""
     x, y, z = axes[0] - point[0], axes[1] - point[1], axes[2] - point[2]
     distances: Floats = x * x + y * y + z * z
     return distances
@@ -194,60 +195,58 @@ def _squared_distances(axes: Floats, point: Floats) -> Floats:
 
 MIN_PATCHES, MAX_PATCHES = 1536, 4096
 VERTICES_PER_PATCH = 12
-"""Around one of so many vertices polynomials are fitted, within these bounds: patches of twenty
-then cover each vertex once or twice, and more of them would add little.  A fit takes
-microseconds."""
+"""Polynomials are fitted around one in so many vertices, within these bounds.  Patches of twenty
+then cover each vertex once or twice, and more of them would add little."""
 
 FLATTEST = 0.2
-"""Share of the places that are taken for flat: a smaller one would measure patched holes, a greater
-one texture."""
+"""Share of the places that counts as flat: smaller ones measure patched holes, larger ones
+texture."""
 
 MARGIN = 1.03
-"""Factor of the levels over one-rings, whose fits have few degrees of freedom: the least of several
-levels that scatter would be too low."""
+"""Factor of the levels by fits over one-rings, which scatter because they have few degrees of
+freedom: without it the smallest of several levels would be too low."""
 
 TEXTURE = 0.5
-"""Variance of texture in what the best fit leaves, as a share of what the next coarser fit leaves
-more; measured on clean scans."""
+"""Variance of texture in the best fit, as a share of the additional variance of the next coarser
+fit; measured on clean scans."""
 
 MAX_TEXTURE = 0.75
-"""Share of the variance that is taken for texture, at most."""
+"""Largest share of the variance that counts as texture."""
 
 TEXTURE_BOUND = 2.0
-"""The same at most, for the lower end of the interval."""
+"""As ``TEXTURE``, for the lower end of the interval."""
 
 TOO_MUCH = 0.1
-"""What the lower end allows for creases, which the flattest fifth of the places may still have."""
+"""Share of the level that the lower end allows for creases among the flattest places."""
 
 TOO_LITTLE = 0.05
-"""What the upper end allows for normals that noise has turned."""
+"""Share of the level that the upper end allows for errors of normals by noise."""
 
 FAR_OUT = 0.01
-"""Share of the vertices that Gaussian noise puts as far out as counts for the tail."""
+"""Share of the vertices in the tail under Gaussian noise."""
 
 MIN_TAIL = 0.008
-"""Excess of the tail over that from which noise is impulsive."""
+"""Excess of the tail over ``FAR_OUT`` above which noise is impulsive."""
 
 FAR_OUT_EXCESS = 0.08
-"""Variance that those vertices add under Gaussian noise, as a share of it."""
+"""Variance of the vertices in the tail under Gaussian noise, as a share of all variance."""
 
 NEGLIGIBLE = 0.005
-"""Mean edge lengths below which no noise can be seen."""
+"""Levels below it, mean edge lengths, are invisible."""
 
 DOUBTFUL = 0.05
-"""Mean edge lengths: noise whose interval goes from 0 to less is none to speak of, for all of it
-may be texture."""
+"""Mean edge lengths: an interval from 0 to less is negligible, because all may be texture."""
 
 SPREAD = 0.1
-"""What the upper end allows for spikes that are not detected."""
+"""Share of the level that the upper end allows for undetected spikes."""
 
 VERTICES_PER_REGION, MAX_REGIONS, MIN_PLACES = 800, 16, 48
-"""Vertices of a region, the most regions, and places that a region needs."""
+"""Vertices per region, the largest number of regions, and the places that a region needs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """What ``kernels.patch_fits.fit_patches`` gives for the places."""
+    """The result of ``kernels.patch_fits.fit_patches``."""
 
     variances: Floats
     freedoms: NDArray[np.int32]
@@ -255,38 +254,37 @@ class Fits:
     ratios: Floats
 
     def level(self, fit: int, share: float) -> float:
-        """Standard deviation by one fit at the flattest ``share`` of the places, file units;
-        infinite where it has none."""
+        """Standard deviation of noise by one fit, file units, from the quantile ``share`` of its
+        residuals; infinite if the fit has none."""
         freedoms = self.freedoms[:, fit]
         scaled = self.variances[:, fit] / chi_square_table(share)[freedoms]
         scaled = scaled[freedoms > 0]
         return math.sqrt(quantile(scaled, share)) if len(scaled) else math.inf
 
     def at(self, places: Flags) -> Fits:
-        """Those of some of the places."""
         variances, freedoms = self.variances[places], self.freedoms[places]
         return Fits(variances, freedoms, self.gaps[places], self.ratios[places])
 
 
 PLANE, NEAR, FAR, CUBIC = range(4)
-"""The fits: a plane and degree 2 over the one-ring, degrees 2 and 3 over the two-ring."""
+"""The fits: plane and quadratic over the one-ring, quadratic and cubic over the two-ring."""
 
 
 @dataclass(frozen=True, eq=False)
 class WhiteEstimate:
-    """The level by fits over one- and two-rings, which takes the noise for white."""
+    """The level by fits over one- and two-rings, if the noise is white."""
 
-    level: NoiseLevel  # what ``NoiseLevel`` says of it
+    level: NoiseLevel
     places: Longs  # (c,) vertices around which the fits are
-    middles: Floats  # (r, 3) positions of the regions' middles
+    middles: Floats  # (r, 3) centres of the regions
     regions: Floats  # (r,) levels of the regions, file units
-    far: Flags  # (c,) whether a vertex is far out among its neighbours
-    fits: Fits  # what the fits leave over at the places
+    far: Flags  # (c,) whether the residual of the vertex is in the tail
+    fits: Fits  # residuals of the fits at the places
     edge: float  # mean edge length, file units
 
 
 def estimate_white(mesh: Mesh) -> WhiteEstimate:
-    """The noise of a mesh as far as it is white."""
+    """The noise of a mesh on the assumption that it is white."""
     places = _choose_places(mesh)
     normals = mesh.vertex_normals("uniform", 1)
     fits = Fits(*fit_patches(places, mesh.vertices, normals, *mesh.topology.one_ring))
@@ -301,7 +299,7 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     coarse = fits.level(FAR, FLATTEST)
     best = _least(near, nearer, coarse, fits.level(CUBIC, FLATTEST))
     level = _without_texture(best, coarse)
-    # A quantile tells less than a mean of as many, and patches overlap.
+    # A quantile has a larger error than a mean, and patches overlap.
     freedoms = max(min(9.0 * len(places), 0.5 * len(mesh.vertices)), 1.0)
     error = 2.5 * 1.6 / math.sqrt(2.0 * freedoms)
     low = math.sqrt(max(best * best - TEXTURE_BOUND * _excess_spread(coarse, best), 0.0))
@@ -339,10 +337,10 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
 
 
 def _choose_places(mesh: Mesh) -> Longs:
-    """Vertices around which to look, evenly over their numbers, but in no step with any pattern
-    of them."""
+    """Sampled vertices (c,), evenly over the vertex numbers but with irregular steps, because
+    numbers may follow a pattern."""
     has_ring = mesh.topology.has_ring
-    # Nearly always all have, and no array of their numbers is needed.
+    # Usually all have a one-ring, and no array of vertex numbers is needed.
     used = None if has_ring.all() else np.flatnonzero(has_ring)
     n_used = len(has_ring) if used is None else len(used)
     wanted = min(max(n_used // VERTICES_PER_PATCH, MIN_PATCHES), MAX_PATCHES)
@@ -355,18 +353,18 @@ def _choose_places(mesh: Mesh) -> Longs:
 
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
-    """The least level of the fits; 0 where there is none."""
+    """The smallest level of the fits; 0 if there is none."""
     least = min(far, cubic, plane * MARGIN, near * MARGIN)
     return least if least < math.inf else 0.0
 
 
 def _excess_spread(coarse: float, best: float) -> float:
-    """Variance that the coarse fit leaves over beyond the best one; only texture explains it."""
+    """Additional variance of the coarse fit over the best one, which is texture."""
     return max(coarse * coarse - best * best, 0.0) if coarse < math.inf else 0.0
 
 
 def _without_texture(best: float, coarse: float) -> float:
-    """A level less the texture that is in it."""
+    """The level of the best fit without its texture."""
     texture = min(TEXTURE * _excess_spread(coarse, best), MAX_TEXTURE * best * best)
     return math.sqrt(best * best - texture)
 
@@ -374,9 +372,9 @@ def _without_texture(best: float, coarse: float) -> float:
 def _measure_regions(
     fits: Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool
 ) -> Floats:
-    """Level of each region (r,), file units, where that of all is ``level``; a region with too few
-    places has that."""
-    # Few places of a region have no spike.
+    """Level of each region (r,), file units; ``level`` is that of the mesh, and of regions with few
+    places."""
+    # With impulses hardly any place is without a spike, so the quantile is the median.
     share = 0.5 if is_impulsive else FLATTEST
 
     def compared(fits: Fits) -> float:

@@ -1,4 +1,4 @@
-"""What is known of the noise of a mesh: how much, and of what kind."""
+"""Records of the estimated noise of a mesh: its level and its kind."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import math
 from msal_cli.light_dataclass import dataclass
 
 SURE = 0.025
-"""Mean edge lengths: upper end of the interval below which there is certainly no noise."""
+"""Mean edge lengths: if the upper end of the interval is below, there is certainly no noise."""
 
 SPIKES = 0.07
-"""Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
+"""Root mean square, mean edge lengths, from which spikes count as noise."""
 
 MIN_SPIKES = 0.005
-"""Share of the vertices that must be spikes for that."""
+"""Share of the vertices that must be spikes for them to count as noise."""
 
 UNEVEN = 2.0
-"""Ratio of the most to the least noisy region from which noise is not the same everywhere."""
+"""Ratio of the levels of the most and the least noisy region above which noise is uneven."""
 
 MIN_UNEVEN = 0.05
-"""Mean edge lengths that the most noisy region needs for that."""
+"""Level of the most noisy region, mean edge lengths, that uneven noise needs at least."""
 
 KINDS = (
     "none",
@@ -37,33 +37,33 @@ KINDS = (
 )
 
 NOISE, TEXTURE = "noise", "texture"
-"""What the roughness of a mesh can be: kinds of ``Reading``."""
+"""The kinds of a ``Reading``: what the roughness of a mesh may be."""
 
 
 MIN_PROBABILITY = 0.9
-"""Probability of a kind of reading from which it is not in doubt."""
+"""Probability from which a kind of reading is not in doubt."""
 
 RING_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
 
 
 @dataclass(frozen=True)
 class NoiseCharacter:
-    """What the noise is like."""
+    """The kind of the noise and its parameters."""
 
-    kind: str  # one of ``KINDS``; the most telling, where more than one fits
-    rings: int = 0  # over how many rings neighbours share noise, 0 (not at all) to 4 (that or more)
+    kind: str  # one of ``KINDS``; the most specific, if more than one fits
+    rings: int = 0  # over how many rings noise is correlated, 0 (white) to 4 (or more)
     direction: str = "normals"  # ``"normals"``, ``"isotropic"`` (in all directions) or ``"axis"``
-    # unit vector of an axis, up to its sign; else None
+    # unit vector, up to its sign, if the direction is ``"axis"``; else None
     axis: tuple[float, float, float] | None = None
-    # of quantised depths, or height of the terraces; mean edge lengths, 0 for none
+    # step of quantised depths or height of terraces, mean edge lengths; 0 for other kinds
     step: float = 0.0
     outliers: float = 0.0  # share of the vertices that lie far off
-    confidence: float = 1.0  # of the kind, 0 to 1; below 0.5 a guess
-    basis: str = ""  # what it rests on, in words
+    confidence: float = 1.0  # probability of the kind, 0 to 1; below 0.5 it is a guess
+    basis: str = ""  # the reason for the kind, in words
 
     @property
     def words(self) -> str:
-        """The character in plain words, for a line after the level; empty for none."""
+        """The character in words, to follow the level; empty if there is no noise."""
         if self.kind in ("none", "unknown"):
             return "of a kind that cannot be determined" if self.kind == "unknown" else ""
         shared = f"shared over {RING_COUNTS[self.rings]}"
@@ -86,37 +86,36 @@ NO_CHARACTER = NoiseCharacter("none")
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to explain the roughness of a mesh."""
+    """One explanation of the roughness of a mesh."""
 
     kind: str  # ``NOISE`` or ``TEXTURE``
-    level: float  # of the noise that there is then, mean edge lengths; 0 where all of it is texture
+    level: float  # of the noise, mean edge lengths; 0 if all of it is texture
     probability: float  # 0 to 1
 
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """The noise of a mesh: its standard deviation along the direction of its character.
+    """The noise of a mesh: its standard deviation along the direction of its character, which is
+    the normals, an axis, or each coordinate if the noise is isotropic."""
 
-    That is along the normals, along an axis, or by coordinate where it is isotropic."""
-
-    mean_edges: float  # in mean edge lengths of the mesh as it is
-    # low, high: an interval for it, mean edge lengths: from where all that may be texture is, to
-    # where none is, and beyond by the sampling error
+    mean_edges: float  # the level in mean edge lengths of the noisy mesh
+    # low, high: its interval, mean edge lengths: from the level if all that may be texture is
+    # texture to the level if none of it is, widened by the sampling error
     low: float
     high: float
     file_units: float  # the same level in file units
-    # root mean square with single spikes, which the level leaves out, mean edge lengths
+    # root mean square including spikes, which the level leaves out, mean edge lengths
     rms_edges: float
-    # share of the vertices, 0 to 1, further out among the others than 99 in 100 are with Gaussian
-    # noise; 0.01 for that, 0.02 and more for impulsive noise
+    # share of the vertices, 0 to 1, whose residual exceeds the 99 % quantile of Gaussian noise:
+    # 0.01 for Gaussian noise, 0.02 and more for impulsive noise
     tail: float
-    is_negligible: bool  # whether there is no noise to speak of
+    is_negligible: bool  # whether there is no noise, or too little to matter
     # lowest, highest: levels of the least and the most noisy region, mean edge lengths
     lowest: float
     highest: float
     regions: int  # how many regions were compared
-    character: NoiseCharacter = NO_CHARACTER  # what kind of noise it is
-    readings: tuple[Reading, ...] = ()  # the ways to explain the roughness, the most probable first
+    character: NoiseCharacter = NO_CHARACTER
+    readings: tuple[Reading, ...] = ()  # explanations of the roughness, most probable first
 
     @property
     def is_unsure(self) -> bool:
@@ -128,8 +127,8 @@ class NoiseLevel:
         )
 
     def assume(self, kind: str | None, edge: float) -> NoiseLevel:
-        """The noise if all readings of another ``kind`` are wrong: with ``NOISE`` of the highest
-        level of its readings, with ``TEXTURE`` of the lowest; unchanged where it is not unsure.
+        """The noise given that only readings of this ``kind`` are true: with ``NOISE`` the highest
+        level of its readings, with ``TEXTURE`` the lowest.  Unchanged if it is not unsure.
 
         ``edge`` is the mean edge length, file units.
         """
@@ -158,8 +157,8 @@ class NoiseLevel:
         )
 
     def is_below(self, edges: float) -> bool:
-        """Whether neither the level, nor that of any region where they differ, nor single spikes
-        reach so many mean edge lengths."""
+        """Whether the level (of the most noisy region, if it is uneven) and spikes are below
+        ``edges`` mean edge lengths."""
         has_spikes = are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
         level = max(self.mean_edges, self.highest) if self.is_uneven else self.mean_edges
         return level < edges and not has_spikes
@@ -171,22 +170,22 @@ class NoiseLevel:
 
     @property
     def is_uneven(self) -> bool:
-        """Whether some regions have noise that others have not."""
+        """Whether some regions have much more noise than others."""
         return are_uneven(self.lowest, self.highest)
 
     @property
     def of_noisy_part(self) -> float:
-        """The level where there is noise, mean edge lengths: between that of all and the highest
-        where some regions have hardly any."""
+        """The level in noisy regions, mean edge lengths: if the noise is uneven, the geometric mean
+        of the overall and the highest level."""
         return math.sqrt(self.mean_edges * self.highest) if self.is_uneven else self.mean_edges
 
 
 def are_spikes(rms: float, tail: float) -> bool:
-    """Whether spikes with this root mean square, in mean edge lengths, are noise to speak of; the
-    tip of a cone or two corners are not."""
+    """Whether spikes with this root mean square, mean edge lengths, count as noise; the tip of a
+    cone or two corners do not."""
     return rms >= SPIKES and tail >= MIN_SPIKES
 
 
 def are_uneven(lowest: float, highest: float) -> bool:
-    """Whether levels of regions, in mean edge lengths, are not those of one noise."""
+    """Whether levels of regions, mean edge lengths, differ too much for one noise."""
     return highest > MIN_UNEVEN and highest > UNEVEN * lowest

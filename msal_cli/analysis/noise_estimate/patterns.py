@@ -1,10 +1,10 @@
-"""Shape that repeats: knurls, threads, fabric, layers of a print; and mirror images.  Noise has no
-wave length, and does the same on no two sides.
+"""Detection of repeating patterns (knurls, threads, fabric, layers of a print) and of mirror
+symmetry, which noise does not have.
 
-Around some places the heights over a cubic polynomial are explained by plane waves, the best one
-first, then what is best beside it.  A pattern is explained nearly whole by few waves, and the
-first is as long at every place; what looks like a wave in noise is of another length elsewhere.
-Waves of hardly more than two edges cannot be distinguished from noise.
+Around some vertices the heights above a cubic polynomial are decomposed into plane waves by greedy
+selection.  A few waves explain nearly all of a pattern, and the first one has the same length
+everywhere; the waves selected in noise have different lengths.  Waves of hardly more than two edges
+cannot be distinguished from noise.
 """
 
 from __future__ import annotations
@@ -24,59 +24,57 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 PLACES, FIRST_PLACES = 24, 6
-"""Places that are looked at, and the first of them, after which it is clear for most noise; fewer
-say nothing."""
+"""Vertices that are tested, and how many of them are tested first, which is enough to reject most
+noise; a mesh with fewer has no verdict."""
 
 REACH, MIN_AROUND, MAX_AROUND = 7.0, 60, 250
-"""Mean edge lengths around a place, and the vertices there."""
+"""Radius of the neighbourhood of a vertex, mean edge lengths, and its fewest and most vertices."""
 
 SHORTEST, STEP, PERIODS, DIRECTIONS = 2.1, 1.16, 11, 12
-"""Lengths of waves, in mean edge lengths from the first on, each by a factor more than the one
-before; and how many directions they have."""
+"""The shortest wave in mean edge lengths, the ratio of consecutive wave lengths, and the numbers of
+lengths and of directions."""
 
 GRID = np.indices((PERIODS, DIRECTIONS)).reshape(2, -1).T.astype(np.float32)
 AROUND = (np.indices((3, 3)).reshape(2, -1).T - 1.0).astype(np.float32)
-"""Waves as the logarithm of the length and the direction, in steps: the first ones, and what is
-added to the best one, finer and finer."""
+"""Waves as pairs of logarithm of the length and direction, in steps: the initial grid, and the
+offsets for the refinement of the best wave."""
 
 LONGEST = 8.5
-"""Steps of the length, beyond which noise that neighbours share may have its first wave at every
-place: 7.4 mean edge lengths."""
+"""Length in steps (7.4 edges) above which correlated noise may have its first wave everywhere."""
 
 WAVES, DEGREE = 6, 3
 
 FIRST_ALIKE, MIN_ALIKE, MIN_EXPLAINED = 0.8, 0.9, 0.91
-"""Share of the first places, and of all, whose first wave has the usual length, within a step, and
-part of the squared heights that the waves explain, from which shape repeats.  Under noise of every
-kind on eleven models at most 0.83 of the places are alike where 0.85 is explained; white noise of
-0.1 mean edge lengths on threads and flutes of two leaves 0.9 explained."""
+"""A pattern is assumed if at this share of the first vertices, then of all, the length of the first
+wave is within a step of the median, and waves explain this part of the squared heights.  Under
+noise of each kind on eleven models at most 0.83 of the vertices agree where 0.85 is explained; with
+white noise of 0.1 mean edge lengths on two threads and flutes 0.9 is explained."""
 
 MAX_GAIN = 2.0
-"""Of what a wave explains, the most that one after it does: they come in the order of their size,
-but for what the earlier ones hide.  Of 1,600 foreign meshes none is judged otherwise by it."""
+"""Largest ratio of what a later wave explains to what an earlier one does: they come in order of
+size, except for those that earlier ones hide.  It changes none of 1,600 verdicts."""
 
 TINY = 1e-4
-"""Mean edge lengths, root mean square, below which heights say nothing."""
+"""Root mean square of heights, mean edge lengths, below which a neighbourhood is smooth."""
 
 MIN_INDEPENDENT = 0.005
-"""Of the squared size of a wave, below which polynomials and other waves leave nothing of it."""
+"""Waves are ignored if less of their square is independent of polynomials and other waves."""
 
 
 MIRRORED_PLACES, MAX_MIRRORED, NEAR_IMAGE = 200, 200_000, 0.01
-"""Vertices whose mirror images are looked for; vertices of a mesh up to which they are; and how far
-off a vertex may be for one, in mean edge lengths."""
+"""Vertices whose mirror images are searched; the largest mesh for which this is done; and the
+tolerance of an image, mean edge lengths."""
 
 
 def is_patterned(mesh: Mesh, survey: Survey) -> bool:
-    """Whether what polynomials leave over of ``mesh`` is shape that repeats, at the places of the
-    ``survey``."""
+    """Whether the surface of ``mesh`` has a repeating pattern at vertices of the ``survey``."""
     count = min(PLACES, len(survey.vertices))
     at = ((np.arange(count) + 0.5) * (len(survey.vertices) / max(count, 1))).astype(np.int64)
-    # The first ones are spread over the mesh, too.
+    # Interleaved, so that the first ones are spread over the mesh.
     at = np.concatenate([at[first::4] for first in range(4)])
     is_met = np.zeros(len(mesh.vertices), dtype=np.bool_)
-    looked = (Place.look_at(mesh, int(survey.vertices[k]), survey.normals[k], is_met) for k in at)
-    found = (place for place in looked if place is not None)
+    places = (Place.look_at(mesh, int(survey.vertices[k]), survey.normals[k], is_met) for k in at)
+    found = (place for place in places if place is not None)
     first = list(itertools.islice(found, FIRST_PLACES))
     if len(first) < FIRST_PLACES or not _are_patterned(first, FIRST_ALIKE):
         return False
@@ -91,7 +89,7 @@ def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
     unlike = 0
     for place in places:
         unlike += not place.is_explained()
-        # Explaining takes longest, and of most meshes the first places are not.
+        # This is the slowest part, and most meshes fail at the first vertices.
         if 2 * unlike > len(places):
             return False
     return True
@@ -99,17 +97,17 @@ def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What is around a place."""
+    """The neighbourhood of a vertex."""
 
-    points: Floats32  # (k, 2) positions across the normal, mean edge lengths
-    known: Floats32  # (k, c) the polynomials, orthogonal
-    rest: Floats32  # (k,) heights without them, of length 1
-    grid: Waves  # of ``GRID``, without the polynomials
+    points: Floats32  # (k, 2) positions in the tangent plane, mean edge lengths
+    known: Floats32  # (k, c) orthonormal basis of the polynomials and selected waves
+    rest: Floats32  # (k,) residual heights, scaled to length 1
+    grid: Waves  # the waves of ``GRID`` without their projection on polynomials
 
     @classmethod
     def look_at(cls, mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Place | None:
-        """What is around a vertex and faces the same side; None where too little is, or it is
-        smooth.  ``is_met`` (n,) is False everywhere, before and after."""
+        """The neighbourhood of a vertex, without vertices whose normals face away; None if it is
+        too small or smooth.  ``is_met`` (n,) is a buffer, False before and after."""
         reach, normals = REACH * mesh.mean_edge_length, mesh.vertex_normals("uniform", 1)
         rings, found = mesh.topology.one_ring, np.empty(MAX_AROUND, dtype=np.int64)
         count = collect_near(vertex, normal, reach, mesh.vertices, normals, *rings, is_met, found)
@@ -131,7 +129,7 @@ class Place:
         return cls(points, known, (rest / size).astype(np.float32), grid)
 
     def find_length(self) -> float:
-        """The length of the best wave, in steps."""
+        """Length of the best wave of ``GRID``, in steps."""
         return float(GRID[self.grid.find_best(self.rest)][0])
 
     def is_explained(self) -> bool:
@@ -157,16 +155,17 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """Plane waves around a place, each as far as orthogonal columns (k, c) do not explain it."""
+    """Plane waves at the vertices of a neighbourhood; they are fitted without their projection on
+    orthonormal columns (k, c)."""
 
-    rows: Floats32  # (2, w, k) cosines and sines, whole
-    # squares, both: (2, w) squared lengths of the rests, and (w,) the products of the two
+    rows: Floats32  # (2, w, k) cosines and sines, with those projections
+    # squares, both: squared lengths (2, w) and products (w,) of cosines and sines without them
     squares: Floats32
     both: Floats32
 
     @classmethod
     def make(cls, points: Floats32, waves: Floats32) -> Waves:
-        """Those of ``waves`` (w, 2) at ``points`` (k, 2), mean edge lengths."""
+        """The ``waves`` (w, 2), in steps, at ``points`` (k, 2), mean edge lengths."""
         turns = (np.pi / DIRECTIONS) * waves[:, 1]
         numbers = 2.0 * math.pi / (SHORTEST * STEP ** waves[:, 0])
         directions = np.stack([np.cos(turns), np.sin(turns)], axis=1)
@@ -175,13 +174,13 @@ class Waves:
         return cls(rows, *_products(rows))
 
     def without(self, known: Floats32) -> Waves:
-        """The rests beside orthogonal columns ``known`` (k, c), too."""
+        """The waves without their projection on the columns ``known`` (k, c) as well."""
         squares, both = _products(self.rows @ known)
         return Waves(self.rows, self.squares - squares, self.both - both)
 
     def find_best(self, rest: Floats32) -> int:
-        """The wave that explains most of the squared ``rest`` (k,), which has nothing of what was
-        left out."""
+        """Index of the wave that explains most of the squared ``rest`` (k,), orthogonal to
+        those."""
         (even, odd), (even_square, odd_square) = self.rows @ rest, self.squares
         size = even_square * odd_square - self.both * self.both
         gained = even**2 * odd_square - 2.0 * even * odd * self.both + odd**2 * even_square
@@ -190,13 +189,13 @@ class Waves:
 
 
 def _products(rows: Floats32) -> tuple[Floats32, Floats32]:
-    """Of pairs of rows (2, w, k) the squared lengths (2, w), and the products (w,)."""
+    """Squared lengths (2, w) and scalar products (w,) of pairs of rows (2, w, k)."""
     return np.einsum("ijk,ijk->ij", rows, rows), np.einsum("jk,jk->j", *rows)
 
 
 def are_mirrored(mesh: Mesh, vertices: Longs, least: float) -> bool:
-    """Whether more than the share ``least`` of some ``vertices`` (k,) have a mirror image in the
-    mesh, across the middle of its box along one axis of the file.  Never in a large mesh."""
+    """Whether more than the share ``least`` of ``vertices`` (k,) have a mirror image in the mesh,
+    across the middle of its bounding box along one axis of the file.  False for large meshes."""
     if not len(vertices) or len(mesh.vertices) > MAX_MIRRORED:
         return False
     is_used = mesh.topology.has_ring
@@ -209,9 +208,9 @@ def are_mirrored(mesh: Mesh, vertices: Longs, least: float) -> bool:
         images[:, axis] = twice_middle[axis] - images[:, axis]
         missing = 0
         for image in images:
-            # Another coordinate first: designs have many vertices in the mirror plane itself.
+            # Search by another coordinate: designs have many vertices in the mirror plane.
             missing += not is_any_near(image, near, (axis + 1) % 3, used)
-            # Most meshes are none, which the first places show.
+            # Most meshes are not symmetric, which the first vertices show.
             if missing >= (1.0 - least) * len(images):
                 break
         else:
