@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from msal_cli.api import mesh_objects
-from msal_cli.api.mesh_objects import explained_errors
+from msal_cli.api.mesh_objects import explained_errors, name_arguments
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
@@ -87,7 +87,8 @@ class DenoiseResult:
     def reason(self) -> str:
         """Why this method was chosen, or why nothing was done; empty where it was given."""
         choice = self.record.choice
-        return self.record.left_alone or ("" if choice is None else choice.reason)
+        reason = self.record.left_alone or ("" if choice is None else choice.reason)
+        return name_arguments(reason)
 
     @property
     def noise(self) -> NoiseEstimate:
@@ -104,7 +105,7 @@ class DenoiseResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What you should know although the mesh was denoised."""
-        return self.record.warnings
+        return tuple(map(name_arguments, self.record.warnings))
 
     def __repr__(self) -> str:
         moved = self.record.displacement
@@ -556,6 +557,9 @@ def _iterate_records(
                     return
                 if isinstance(message, BaseException):
                     raise message
+                if (failed := message.error) is not None:
+                    hint = name_arguments(failed.hint)
+                    message = replace(message, error=replace(failed, hint=hint))
                 yield with_gates(gates, [message])[0]
         finally:
             cancellation.request()

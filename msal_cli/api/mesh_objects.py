@@ -5,6 +5,7 @@ These objects are recognised by their classes alone: none of their libraries is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,9 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.detection import READABLE
 from msal_cli.codecs.mesh_file import Surface, cut_polygons
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
 from msal_cli.job.room import to_known_error
+from msal_cli.job.settings import METRES
 
 Array = NDArray[Any]
 
@@ -293,6 +296,26 @@ def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
     )
 
 
+_FLAGS = ("--despike", "--force", "--fresh", "--in-place", "--retry-failed", "--strict")
+_ARGUMENTS = {flag: f"{flag[2:].replace('-', '_')}=True" for flag in _FLAGS} | {
+    "-K": "K=", "-n": "iterations=", "-o": "output=", "--set": "parameters=",
+    "--auto": 'method="auto"', "--check self-intersections": "intersections=True",
+}  # fmt: skip
+_VALUES = "|".join(("auto", "ascii", "float64", "noise", "robust", "shape", *READABLE, *METRES))
+_NAMES = "-[Kno]|--check self-intersections|--(?!scratch)[a-z-]+[a-z]"
+_OPTION = re.compile(rf"(?<![\w-])({_NAMES})(?: ({_VALUES})| (?=\d))?\b")
+
+
+def name_arguments(text: str) -> str:
+    """A message that names options of the command with the arguments of functions instead."""
+
+    def name(option: re.Match[str]) -> str:
+        argument = _ARGUMENTS.get(option[1], f"{option[1][2:].replace('-', '_')}=")
+        return argument + (f'"{option[2]}"' if option[2] else "")
+
+    return _OPTION.sub(name, text)
+
+
 @contextmanager
 def explained_errors(name: str = ARRAYS, path: str = "") -> Iterator[None]:
     """Turn every error of the block into a ``MsalError`` whose traceback says what to do.
@@ -306,6 +329,8 @@ def explained_errors(name: str = ARRAYS, path: str = "") -> Iterator[None]:
         if isinstance(known, InputError):
             known.path = known.path or path
         if not getattr(known, "__notes__", None):
+            known.message, known.hint = name_arguments(known.message), name_arguments(known.hint)
+            known.args = (known.message,)
             place = ", ".join(part for part in (known.path, known.where) if part)
             known.add_note(f"{known.code}{f' at {place}' if place else ''}")
             if known.hint:

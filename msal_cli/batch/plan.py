@@ -274,7 +274,7 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
                 what = f"the input {victim!r} would be overwritten by its own output"
             if Path(task.output) != Path(victim):
                 what += f" (as {task.output!r})"
-            hint = "choose another output; only msal denoise --in-place replaces inputs"
+            hint = "choose another output; only --in-place replaces inputs"
             raise UsageError(what, hint=hint, path=task.input)
         if is_url(task.output):
             continue
