@@ -8,7 +8,7 @@ import logging
 import os
 import queue
 import threading
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar, Unpack, overload
@@ -298,7 +298,7 @@ def _parse(
     if twice := sorted(parameters.keys() & more.keys()):
         raise UsageError(f"{twice[0]} is given twice", hint="give it once")
     assignments = [(name, name, value) for name, value in {**parameters, **more}.items()]
-    gates = parse_gates(to_texts(given.get("fail_on", ())), MeshRecord, unit)
+    gates = parse_gates(to_texts(given.get("fail_on", ()), "fail_on"), MeshRecord, unit)
     refuse_without_reference(gates, "measure it with msal_cli.compare")
     is_checked = given.get("intersections") or need_intersections(gates)
     return gates, parse({**given, "parameters": assignments, "intersections": is_checked})
@@ -326,6 +326,13 @@ def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
 
 
 # Files
+
+
+def _to_path(value: Any, name: str) -> str:
+    try:
+        return os.fsdecode(value)
+    except TypeError:
+        raise UsageError(f"{name} is {value!r}, and must be a path", hint="give a text") from None
 
 
 def denoise_file(
@@ -388,7 +395,8 @@ def denoise_file(
         as in ``msal_cli.errors``.
     """
     given = locals()
-    source, target = os.fsdecode(input), os.fsdecode(output)
+    with explained_errors():
+        source, target = _to_path(input, "input"), _to_path(output, "output")
     with explained_errors(path=source):
         gates, settings = _parse(denoise_file, given)
         plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
@@ -487,15 +495,19 @@ def denoise_folder(
         while iterating, where the output cannot be written, or no worker can be started.
     """
     given = locals()
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    sources = [os.fsdecode(path) for path in paths]
+    with explained_errors():
+        is_one = isinstance(inputs, str | bytes) or not isinstance(inputs, Iterable)
+        paths: Any = [inputs] if is_one else inputs
+        sources = [_to_path(path, "an input") for path in paths]
+        target = None if output is None else _to_path(output, "output")
     with explained_errors(", ".join(sources)):
         limits = Limits(timeout, memory_limit)
         check_options(limits, jobs, retries, max_failures)
         gates, settings = _parse(denoise_folder, given)
-        target = None if output is None else os.fsdecode(output)
         plan = build_plan(
-            discover_inputs(sources, to_texts(include), to_texts(exclude), output=target),
+            discover_inputs(
+                sources, to_texts(include, "include"), to_texts(exclude, "exclude"), output=target
+            ),
             target,
             to=settings.to,
             in_place=in_place,

@@ -320,10 +320,12 @@ def check_options(
     stop_after_failures: int | None = None,
 ) -> None:
     """Raise UsageError for limits that are too small for any file, and for invalid numbers."""
-    for value in (limits.timeout_s, limits.memory_bytes, jobs, retries, stop_after_failures):
+    given = {"timeout": limits.timeout_s, "memory_limit": limits.memory_bytes, "jobs": jobs}
+    given |= {"retries": retries, "max_failures": stop_after_failures}
+    for name, value in given.items():
         if not isinstance(value, numbers.Real | None):
             raise UsageError(
-                f"{value!r} is not a number",
+                f"{name} is {value!r}, and must be a number",
                 hint="a timeout is in seconds, a memory limit in bytes",
             )
     counts = (("jobs", jobs, 1), ("failures to stop after", stop_after_failures, 1))

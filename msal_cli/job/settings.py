@@ -304,7 +304,7 @@ def _length(value: Any, label: str, unit: str | None) -> str:
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
-    return tuple(str(parse_lock(text, label, unit) or BOUNDARY) for text in to_texts(value))
+    return tuple(str(parse_lock(text, label, unit) or BOUNDARY) for text in to_texts(value, label))
 
 
 def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
@@ -465,13 +465,13 @@ def to_number(value: Any, label: str) -> float:
         raise UsageError(f"{label} is {value!r}, and must be a number") from None
 
 
-def to_texts(texts: Any) -> tuple[str, ...]:
+def to_texts(texts: Any, label: str) -> tuple[str, ...]:
     """One text or several as a tuple; UsageError for anything else."""
-    is_single = isinstance(texts, str) or not isinstance(texts, Iterable)
+    is_single = isinstance(texts, str | bytes) or not isinstance(texts, Iterable)
     listed = (texts,) if is_single else tuple(texts)
     for text in listed:
         if not isinstance(text, str):
-            raise UsageError(f"{text!r} is not a text")
+            raise UsageError(f"{label}: {text!r} is not a text")
     return listed
 
 

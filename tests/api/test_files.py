@@ -59,7 +59,13 @@ def test_a_file_that_fails_raises_and_writes_nothing(scans, tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"input": "missing.ply"}, {"input": "scans"}, {"output": "scans"}, {"output": "a\0.ply"}]
+    [
+        {"input": [1]},
+        {"output": None},
+        {"input": "scans"},
+        {"output": "scans"},
+        {"output": "a\0.ply"},
+    ]
     + [{"output": "scans/a.ply"}, {"output": "out.doc"}, {"precision": "float16"}, {"k": 1}]
     + [{"fail_on": "volume >"}, {"fail_on": "hausdorff > 1e"}],
     ids=str,
