@@ -8,7 +8,7 @@ import os
 import platform
 import stat
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, Run, from_data
-from msal_cli.job.settings import Settings, Task, suffix
+from msal_cli.job.settings import SELF_INTERSECTIONS, Settings, Task, suffix
 from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
@@ -102,10 +102,10 @@ class FileState:
 
 
 def file_states(
-    plan: Plan, by_place: Mapping[str, Manifest], settings: str, *, threads: int
+    plan: Plan, by_place: Mapping[str, Manifest], settings: Collection[str], *, threads: int
 ) -> Generator[FileState, None, None]:
-    """The state of every task, in the plan's order, from the manifest of each place and the hash
-    of the ``settings``.
+    """The state of every task, in the plan's order, by the manifest of each place and the hashes of
+    ``settings`` any of which will do.
 
     An output is current if input, output, settings and version match the manifest: files are read
     and hashed, their times are never trusted.  Closing the iterator stops the reading.
@@ -132,7 +132,11 @@ def file_states(
 
 class _FreshnessCheck:
     def __init__(
-        self, plan: Plan, by_place: Mapping[str, Manifest], settings: str, is_stopped: Event
+        self,
+        plan: Plan,
+        by_place: Mapping[str, Manifest],
+        settings: Collection[str],
+        is_stopped: Event,
     ) -> None:
         self.plan, self.by_place, self.settings = plan, by_place, settings
         self.is_stopped = is_stopped
@@ -161,7 +165,7 @@ class _FreshnessCheck:
     def file_state(self, index: int) -> FileState:
         task, entry = self.plan.tasks[index], self.entry(index)
         if entry is not None and entry.is_done and not self.plan.fresh:
-            is_repeated = entry.settings == self.settings
+            is_repeated = entry.settings in self.settings
             if record := self._known_result(task, entry) if is_repeated else None:
                 return FileState(index, record=record)
         return self._in_place_state(index, task, entry) if task.in_place else FileState(index)
@@ -259,7 +263,12 @@ class Journal:
     def __init__(self, plan: Plan, settings: Settings, cores: int) -> None:
         self._plan, self._settings, self._cores = plan, settings, cores
         members = [task.relative for task in plan.tasks] if plan.is_set else []
+        if not any(suffix(task.input) == ".3mf" for task in plan.tasks):
+            settings = replace(settings, unit=None)  # only 3MF files have one to compare it with
         self._hash = hash_settings(settings, members)
+        # A record with more counts than are wanted will do.
+        counted = hash_settings(replace(settings, checks=(SELF_INTERSECTIONS,)), members)
+        self._hashes = {self._hash, counted}
         self.manifests: dict[str, Manifest] = {}
         self._started_s = time.monotonic()
         # The manifests in which the start of this run is recorded.
@@ -318,7 +327,7 @@ class Journal:
         todo: list[int] = []
         restored: list[int] = []
         obstacles: list[str] = []
-        checks = file_states(self._plan, self.manifests, self._hash, threads=self._cores)
+        checks = file_states(self._plan, self.manifests, self._hashes, threads=self._cores)
         with closing(checks):
             states: Iterable[FileState] = checks
             if self._plan.is_set:

@@ -112,18 +112,11 @@ def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
     records = msal.denoise_folder(scans, tmp_path / "out")
     assert inspect.isgenerator(records) and not (tmp_path / "out").exists()
     records.close()
-    for wrong in (
-        *({"jobs": 0}, {"retries": -1}, {"timeout": 0}, {"memory_limit": 1}, {"K": 2}),
-        *(
-            {"max_failures": 0},
-            {"jobs": "2"},
-            {"timeout": "10m"},
-            {"memory_limit": "4G"},
-            {"method": ""},
-        ),
-    ):
+    wrong = {"jobs": (0, "2"), "retries": (-1,), "timeout": (0, "10m"), "memory_limit": (1, "4G")}
+    wrong |= {"max_failures": (0,), "K": (2,), "method": ("",)}
+    for name, value in ((name, value) for name, values in wrong.items() for value in values):
         with pytest.raises(msal.UsageError):
-            msal.denoise_folder(scans, tmp_path / "out", **wrong)
+            msal.denoise_folder(scans, tmp_path / "out", **{name: value})
 
 
 def test_the_loop_may_be_left_and_gone_on_with(scans, tmp_path):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.errors import UsageError
 from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
-from msal_cli.job.settings import Settings
+from msal_cli.job.settings import SELF_INTERSECTIONS, Settings
 from tests.batch import fakes
 from tests.campaigns import runs
 from tests.codecs import plain_obj
@@ -108,8 +109,11 @@ def test_a_finished_file_is_noted_before_it_is_told(folders):
 def test_one_task_runs_here_and_without_starting_a_process(folders, monkeypatch):
     fill(folders, 1)
     monkeypatch.setattr(subprocess, "Popen", None)
-    assert statuses(ran(folders, engine=None)) == ["written"]
-    assert statuses(ran(folders, engine=None)) == ["up-to-date"]
+    # Neither the unit nor fewer counts change a byte.
+    mm, counted = replace(SETTINGS, unit="mm"), replace(SETTINGS, checks=(SELF_INTERSECTIONS,))
+    for settings, is_done in ((SETTINGS, 0), (mm, 1), (counted, 0), (SETTINGS, 1)):
+        (status,) = statuses(ran(folders, settings, engine=None))
+        assert status == ("up-to-date" if is_done else "written")
 
 
 class TestFailures:
