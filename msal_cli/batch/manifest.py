@@ -42,6 +42,7 @@ from typing import Any, BinaryIO
 
 from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.errors import InputError, MsalError, OutputError
+from msal_cli.job.display_names import map_texts
 from msal_cli.job.records import MeshRecord, as_data, from_data
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage import urls
@@ -156,6 +157,7 @@ class ManifestEntry:
         """The parsed line; empty if it cannot be read any more."""
         try:
             data = json.loads(self.read_line())
+            data = data if isinstance(self.line, bytes) else _in_locale(data)
             # The shard that owns the file may have rewritten it.
             return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -250,7 +252,7 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
         output = data.get("output") or {}
         at = data.get("at", 0)
         entry = ManifestEntry(
-            name=data["name"],
+            name=data["name"] if span is None else _in_locale(data["name"]),
             is_done=kind == "done",
             at=at if type(at) is int else 0,
             # Equal texts of many lines share one object.
@@ -326,6 +328,27 @@ def encode_line(data: Mapping[str, Any]) -> bytes:
     return text.encode("ascii") + b"\n"
 
 
+def _in_utf8(data: Any) -> Any:
+    """Data with the names of files as an UTF-8 locale has them, so that any other can go on."""
+
+    def to_utf8(name: str) -> str:
+        try:
+            return os.fsencode(name).decode("utf-8", "surrogateescape")
+        except UnicodeError:
+            return name  # another text
+
+    return data if sys.getfilesystemencoding() == "utf-8" else map_texts(data, to_utf8)
+
+
+def _in_locale(data: Any) -> Any:
+    """What ``_in_utf8`` was given."""
+
+    def to_locale(name: str) -> str:
+        return os.fsdecode(name.encode("utf-8", "surrogateescape"))
+
+    return data if sys.getfilesystemencoding() == "utf-8" else map_texts(data, to_locale)
+
+
 def to_builtin(value: Any) -> Any:
     """For JSON: the number that a numpy scalar is, and the ``repr`` of anything else."""
     return value.item() if hasattr(value, "item") else repr(value)
@@ -366,7 +389,8 @@ class Manifest:
         if not new:
             return
         self._newest = max(time.time_ns(), self._newest + 1)
-        encoded = [encode_line({**line, "at": self._newest}) for line in new]
+        stamped = ({**line, "at": self._newest} for line in new)
+        encoded = [encode_line(line if is_url(self.place) else _in_utf8(line)) for line in stamped]
         self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in new))
 
     def open(self) -> None:

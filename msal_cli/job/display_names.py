@@ -6,6 +6,8 @@ The system gives names as text in which a byte that is not valid UTF-8 becomes a
 
 import re
 import unicodedata
+from collections.abc import Callable
+from typing import Any
 
 # A surrogate, or a backslash that would look like the start of an escaped one.
 _TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
@@ -30,6 +32,17 @@ def portable(text: str) -> str:
 def restore_name(text: str) -> str:
     """The text that ``portable`` was called with."""
     return _ESCAPED.sub(lambda found: chr(int(found[1], 16)), text)
+
+
+def map_texts(data: Any, change: Callable[[str], str]) -> Any:
+    """Plain data with all its texts, keys too, as ``change`` makes them."""
+    if isinstance(data, str):
+        return change(data)
+    if isinstance(data, list | tuple):
+        return [map_texts(inner, change) for inner in data]
+    if isinstance(data, dict):
+        return {change(key): map_texts(inner, change) for key, inner in data.items()}
+    return data
 
 
 def escape_for_display(text: str) -> str:

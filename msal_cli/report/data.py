@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.errors import FormatError
-from msal_cli.job.display_names import figure, portable, restore_name
+from msal_cli.job.display_names import figure, map_texts, portable, restore_name
 from msal_cli.job.records import (
     DONE,
     SCHEMA,
@@ -210,7 +210,7 @@ def read_lines(data: bytes, name: str) -> list[MeshRecord]:
 def parse_json(data: bytes, name: str, what: str, where: str = "") -> Any:
     """JSON, with the bytes in names that JSON cannot hold."""
     try:
-        return _restore_names(json.loads(data))
+        return map_texts(json.loads(data), restore_name)
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
         raise not_a(what, name, f"it is not JSON: {reason}", where) from None
@@ -228,16 +228,6 @@ def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
     if record.schema != SCHEMA or (record.status == "failed") != (record.error is not None):
         raise not_a(REPORT, name, "it is no record of what became of a file", where)
     return record
-
-
-def _restore_names(value: Any) -> Any:
-    if isinstance(value, str):
-        return restore_name(value)
-    if isinstance(value, list):
-        return [_restore_names(inner) for inner in value]
-    if isinstance(value, dict):
-        return {restore_name(key): _restore_names(inner) for key, inner in value.items()}
-    return value
 
 
 def not_a(what: str, name: str, reason: str, where: str = "") -> FormatError:

@@ -232,9 +232,9 @@ def test_a_run_ends_when_it_is_asked_and_goes_on_later(folders):
 class TestInterrupts:
     """Signals to a real process, which then must leave no process and no half file behind."""
 
-    def start(self, folders):
+    def start(self, folders, **options):
         words = [sys.executable, "-c", DRIVER, str(folders / "in"), str(folders / "out")]
-        return runs.started(words, text=True, cwd=Path(fakes.__file__).parents[2])
+        return runs.started(words, text=True, cwd=Path(fakes.__file__).parents[2], **options)
 
     def interrupted(self, folders, send, after):
         """Send a signal once ``after`` files are finished; exit status, workers, seconds."""
@@ -285,6 +285,16 @@ class TestInterrupts:
             process.send_signal(signal.SIGTERM)
             assert process.wait(timeout=2) == 143
         assert tree(folders / "out") == {}
+
+    def test_a_run_in_another_locale_goes_on(self, folders):
+        fill(folders, 0, **{"f\N{SNOWMAN}": "mesh"})
+        plain = os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+        for text, event in (("mesh", "Finished"), ("other", "Started")):
+            ran(folders)
+            fill(folders, 0, **{"f\N{SNOWMAN}": text})
+            with self.start(folders, env=plain) as process:
+                assert process.stdout.read().startswith(event)
+        assert statuses(ran(folders)) == ["up-to-date"]
 
     def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path):
         # Neither a kernel nor code that swallows the exception keeps the process; nor is the
