@@ -219,7 +219,9 @@ def _conclude(
             console.put_lines(comparison.describe_comparison(records[0]))
         if request.as_json or is_pair:
             for record in failures:
-                _say_failure(record)
+                assert record.error is not None
+                name = record.before if record.at_fault == "before" else record.after
+                console.say_failure(name, record.error)
         console.say_lines(
             Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
             for record in records
@@ -236,14 +238,3 @@ def _conclude(
     if is_gate_failed and len(failures) == len(records) - len(present) < len(records):
         return console.GATE_FAILED
     return console.status_of_files(len(records), len(failures))
-
-
-def _say_failure(record: ComparisonRecord) -> None:
-    """Say why two files could not be compared, and name the file at fault."""
-    error = record.error
-    assert error is not None
-    for path in (record.before, record.after):
-        if error.where == path or error.where.startswith(f"{path}: "):
-            console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
-            return
-    console.say_failure(record.after, error)

@@ -7,7 +7,7 @@ an error.
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -124,9 +124,9 @@ def compare_files(
         return measure_files(before, after, format, **options)
     except Exception as error:
         known = to_known_error(error, f"{before} and {after}")
-        where = f"{known.path}: {known.where}" if known.path and known.where else known.path
-        failure = Failure(known.code, known.message, known.hint, where or known.where)
-        return ComparisonRecord(before, after, version=__version__, error=failure)
+        sides: dict[str, Literal["before", "after"]] = {before: "before", after: "after"}
+        side, failure = sides.get(known.path), Failure.of(known)
+        return ComparisonRecord(before, after, version=__version__, at_fault=side, error=failure)
 
 
 def measure_files(

@@ -471,6 +471,7 @@ class ComparisonRecord:
     self_intersections: SelfIntersections | None = known("intersecting faces; null if not counted")
     warnings: tuple[str, ...] = known("what a user should know although they were compared", ())
     gates: tuple[GateResult, ...] = known("what became of each gate; empty if there was none", ())
+    at_fault: Literal["before", "after"] | None = known("which file the error is about, if one")
     error: Failure | None = known("why the files were not compared; null if they were")
 
 

@@ -78,7 +78,9 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
         for text in record.warnings:
             yield Line(f"warning: {_pair_name(record)}: {text}", "bad")
     for record in records:
-        yield from facts.failure_lines(_pair_name(record), record.error)
+        paths = {"before": record.before, "after": record.after}
+        name = file_name(paths[record.at_fault]) if record.at_fault else _pair_name(record)
+        yield from facts.failure_lines(name, record.error)
     n_failed = len(records) - len(compared)
     end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
     yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")

@@ -154,7 +154,8 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
         yield Fact("warning", warning, "bad", ATTENTION)
     reference = record.reference
     if reference is not None and reference.error is not None:
-        yield Fact("reference", failure_text(reference.error), "bad", ATTENTION)
+        text = f"{reference.path}: {failure_text(reference.error)}"
+        yield Fact("reference", text, "bad", ATTENTION)
     elif reference is not None:
         parts = (
             ("normals", figure(reference.mean_angular_error_deg, ".2f", " degrees off (mean)")),
@@ -285,8 +286,8 @@ def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
             failed.rows.append((record, (failure_text(record.error), record.error.hint)))
         broken.rows.extend((record, (gate_values(gate),)) for gate in list_broken(record))
         warned.rows.extend((record, (warning,)) for warning in record.warnings)
-        if (error := value_at(record, "reference.error")) is not None:
-            unmeasured.rows.append((record, (failure_text(error),)))
+        if (truth := record.reference) is not None and truth.error is not None:
+            unmeasured.rows.append((record, (f"{truth.path}: {failure_text(truth.error)}",)))
         if text := unsure_text(record):
             unsure.rows.append((record, (text,)))
     return [table for table in tables if table.rows]

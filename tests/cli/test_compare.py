@@ -6,7 +6,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
-from tests.cli.scans import closed_scan, folder_of, msal, ply_text
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
 from tests.report.made import load_schema
 from tests.shapes import noisy, torus
 
@@ -72,6 +72,11 @@ def test_folders_are_matched_by_relative_path(folders):
     codes = [found[name]["error"]["code"] for name in ("gone.ply", "new.ply")]
     assert codes == ["E_NO_PARTNER"] * 2
     assert found["new.ply"]["before"] == str(a / "new.ply")
+    (a / "one.ply").write_bytes(BAD_SCAN)
+    made = msal("compare", a / "one.ply", b / "one.ply", "--json")
+    data = json.loads(made.stdout)
+    assert (data["at_fault"], data["error"]["where"]) == ("before", "face 0, line 587")
+    assert f"{a / 'one.ply'}: face 0, line 587: " in made.stderr
 
 
 def scan(level):
