@@ -113,7 +113,8 @@ def command(request: Request) -> int:
         ]
         write_output(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
     cells = [cell for cell, _ in done]
-    nearest = sweep.find_nearest(cells)
+    nearest = sweep.find_nearest(cells, sweep.RISK)
+    closest = sweep.find_nearest(cells, sweep.ANGLE)
     if request.as_json:
         console.put_json(
             SCHEMA,
@@ -121,23 +122,34 @@ def command(request: Request) -> int:
             reference=reference,
             method=grid.method.name,
             fixed=fixed,
-            nearest=None if nearest is None else nearest.command,
+            nearest=nearest and nearest.command,
+            nearest_to_reference=closest and closest.command,
             cells=[cell for cell in cells if not cell.choice],
             choices=[cell for cell in cells if cell.choice],
         )
     elif not request.quiet:
-        console.put(_describe_nearest(nearest, cells))
+        if nearest is None:
+            console.put("no risk is estimated: the mesh has no noise to speak of\n")
+        console.put(
+            _describe_nearest(nearest, cells, "by estimated risk", "risk_edges", ".2g", " e")
+        )
+        figure = ("to the reference", "mean_angular_error_deg", ".2f", "\N{DEGREE SIGN}")
+        console.put(_describe_nearest(closest, cells, *figure))
     if not request.quiet:
         console.say_written(output)
     return console.SUCCESS
 
 
-def _describe_nearest(nearest: Cell | None, cells: list[Cell]) -> str:
+def _describe_nearest(
+    nearest: Cell | None, cells: list[Cell], words: str, figure: str, form: str, unit: str
+) -> str:
     if nearest is None:
-        return "no risk is estimated: the mesh has no noise to speak of\n"
-    risks = {cell.choice: cell.risk_edges for cell in cells}
+        return ""
+    plain, auto, least = (
+        f"{getattr(cell, figure):{form}}{unit}"
+        for cell in (*(cell for cell in cells if cell.choice), nearest)
+    )
     return (
-        f"nearest by estimated risk, {nearest.risk_edges:.2g} e (plain command "
-        f"{risks['plain']:.2g} e, --auto {risks['auto']:.2g} e): "
+        f"nearest {words}, {least} (plain command {plain}, --auto {auto}): "
         f"{escape_for_display(nearest.command)}\n"
     )

@@ -6,6 +6,7 @@ The bracket behind ``msal sweep``.
 
 import itertools
 import math
+import operator
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -205,19 +206,21 @@ def _measure(
     )
 
 
-def find_nearest(cells: Sequence[Cell]) -> Cell | None:
-    """The cell whose result is nearest to the true surface by the estimate; None without one."""
-    rated = [(cell.risk_edges, at) for at, cell in enumerate(cells) if cell.risk_edges is not None]
-    return cells[min(rated)[1]] if rated else None
+RISK, ANGLE = "risk_edges", "mean_angular_error_deg"
+"""By what a result is near to the true surface: the estimate, or a reference."""
+
+
+def find_nearest(cells: Sequence[Cell], figure: str) -> Cell | None:
+    """The cell whose ``figure`` (``RISK`` or ``ANGLE``) is the least; None where none has one."""
+    rated = [cell for cell in cells if getattr(cell, figure) is not None]
+    return min(rated, key=operator.attrgetter(figure), default=None)
 
 
 def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: View) -> Image:
     """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
     numbers.  ``done`` has the cells of the grid and those of choices."""
     title = pictures.titles_of((on.name,))[0]
-    nearest = find_nearest([cell for cell, _ in done])
-    errors = [cell.mean_angular_error_deg for cell, _ in done]
-    least = min((error for error in errors if error is not None), default=None)
+    nearest, least = (find_nearest([cell for cell, _ in done], by) for by in (RISK, ANGLE))
     sides: list[Panel] = [(pictures.panel(on.ready.mesh, on.camera, view), title, ["input"])]
     cells: list[Panel] = []
     for cell, image in done:
@@ -226,8 +229,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         lines = [*describe_numbers(cell), *filter(None, [options])]
         words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
         words = {"plain": "plain command", "auto": "--auto"}.get(cell.choice, words)
-        is_least = least is not None and cell.mean_angular_error_deg == least
-        notes = ["least error"] * is_least + ["nearest by risk"] * (cell is nearest)
+        notes = ["least error"] * (cell is least) + ["nearest by risk"] * (cell is nearest)
         words += f" ({', '.join(notes)})" if notes else ""
         (sides if cell.choice else cells).append((image, words, lines))
     if on.reference is not None:

@@ -107,7 +107,7 @@ def test_a_file_may_be_called_like_standard_input(tmp_path, monkeypatch):
 def test_the_commands_of_a_sweep_make_what_its_numbers_say(tmp_path):
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
     grid = ("--rows", "iterations=1,40", "--columns", "mollify=0,2", "--method", "al")
-    words = ("sweep", scan, "-o", tmp_path / "g.png", "--size", "64", *grid)
+    words = ("sweep", scan, "-o", tmp_path / "g.png", "--size", "64", *grid, "--reference", scan)
     data = json.loads(msal(*words, "--json").stdout)
     assert data["schema"] == "msal.sweep/1"
     assert [cell["parameters"] for cell in data["cells"]] == [
@@ -129,4 +129,8 @@ def test_the_commands_of_a_sweep_make_what_its_numbers_say(tmp_path):
     assert data["nearest"] == min(risks, key=risks.get)
     # Forty sweeps flatten the shape itself.
     assert data["cells"][3]["risk_edges"] > 2.0 * max(plain["risk_edges"], auto["risk_edges"])
-    assert msal(*words).stdout.splitlines()[-1].endswith(data["nearest"])
+    errors = {cell["command"]: cell["mean_angular_error_deg"] for cell in cells}
+    assert data["nearest_to_reference"] == min(errors, key=errors.get)
+    *_, by_risk, to_reference = msal(*words).stdout.splitlines()
+    assert by_risk.endswith(data["nearest"])
+    assert to_reference.endswith(data["nearest_to_reference"])
