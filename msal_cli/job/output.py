@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from typing import TYPE_CHECKING
 
@@ -136,8 +137,14 @@ def make_folder_of(path: str) -> None:
 def keep_backup(task: Task, data: Buffer) -> None:
     """Write the original beside the file that is replaced; OutputError if its name is taken."""
     backup = task.backup_path
-    if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
-        return
+    try:
+        if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
+            return
+    except OutputError as error:
+        error.message = error.message.replace("the file", f"the backup (*{task.backup})", 1)
+        if getattr(error.__cause__, "errno", 0) == errno.ENAMETOOLONG:
+            error.hint = "choose a shorter --backup suffix, or rename the file"
+        raise
     # A link could point to the very file that is to be replaced.
     is_file = os.path.isfile(backup) and not os.path.islink(backup)
     if not is_file or gzip_streams.read_whole(backup) != data:

@@ -1,5 +1,6 @@
 """What an output must hold before it is written, and which of its ways a result takes."""
 
+import dataclasses
 import gzip
 import os
 
@@ -130,6 +131,9 @@ def test_a_backup_is_kept_once_and_is_no_link_to_the_original(tmp_path):
     with pytest.raises(OutputError, match="exists and is not this file"):
         output.keep_backup(task, b"new")
     assert (tmp_path / "scan.obj.orig").read_bytes() == b"old"
+    with pytest.raises(OutputError) as caught:
+        output.keep_backup(dataclasses.replace(task, backup=250 * "o"), b"old")
+    assert "the backup" in caught.value.message
     if os.name == "posix":
         (tmp_path / "scan.obj.orig").unlink()
         (tmp_path / "scan.obj.orig").symlink_to(path)
