@@ -158,6 +158,7 @@ class Defects:
     unreferenced_vertices: int  # vertices that no usable face has; they stay where they are
     degenerate_faces: int  # faces with a repeated vertex (left out) or without area (no normal)
     duplicate_faces: int  # faces whose three vertices an earlier face has; left out
+    is_two_sided: bool  # whether each face has a duplicate that is wound the other way
     boundary_edges: int  # edges with one face
     non_manifold_edges: int  # edges with more than two faces
     inconsistent_edges: int  # edges whose two faces have opposite winding in the file
@@ -271,10 +272,10 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
 
     if links is None:
         links = connectivity(len(vertices), faces)
-    n_duplicate = 0
+    n_duplicate, is_two_sided = 0, False
     if links.non_manifold_edges or links.inconsistent_edges:
         # Duplicate faces always make an edge non-manifold or inconsistently wound.
-        duplicate = duplicate_faces(faces)
+        duplicate, is_two_sided = duplicate_faces(faces)
         n_duplicate = int(duplicate.sum())
         if n_duplicate:
             faces = np.ascontiguousarray(faces[~duplicate])
@@ -304,6 +305,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         unreferenced_vertices=n_unreferenced,
         degenerate_faces=n_repeated + mesh.flat_faces,
         duplicate_faces=n_duplicate,
+        is_two_sided=is_two_sided,
         boundary_edges=links.boundary_edges,
         non_manifold_edges=links.non_manifold_edges,
         inconsistent_edges=n_inconsistent,

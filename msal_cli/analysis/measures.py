@@ -307,13 +307,14 @@ class Enclosure:
 
     # (m,) whether each face belongs to a component that is inside out; None if no component is
     inward: Flags | None
-    n_turned: int  # components that are inside out
+    # components that are inside out; none where each face is there with both windings
+    n_turned: int
     n_parts: int  # all components
 
     @property
     def is_inside_out(self) -> bool:
         """Whether at least one component is inside out."""
-        return self.inward is not None
+        return self.n_turned > 0
 
     @property
     def words(self) -> str:
@@ -359,6 +360,11 @@ def measure_enclosure(ready: PreparedMesh) -> Enclosure:
 
 def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
     """As ``measure_enclosure``, for a mesh whose ``area`` and signed ``volume`` are known."""
+    found = _enclosure(mesh, defects, area, volume)
+    return replace(found, n_turned=0) if defects.is_two_sided else found
+
+
+def _enclosure(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
     n_parts = defects.components
     if defects.volume_objection:
         return Enclosure(None, 0, n_parts)

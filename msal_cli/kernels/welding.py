@@ -187,12 +187,16 @@ def number_groups(left: Ints, right: Ints) -> tuple[Ints, Ints]:
     return number, first[:found].copy()
 
 
-def duplicate_faces(faces: Ints) -> Flags:
-    """True (m,) for every face whose three vertices, in any order, an earlier face has too."""
+def duplicate_faces(faces: Ints) -> tuple[Flags, bool]:
+    """True (m,) for every face whose three vertices, in any order, an earlier face has too, and
+    whether each other face has such a duplicate with the other winding."""
     rows = np.sort(faces, axis=1).astype(np.float64)
     first, _ = first_alike(rows, np.ones(len(faces), dtype=bool))
     duplicate: Flags = first != np.arange(len(faces))
-    return duplicate
+    a, b, c = faces.T
+    winding = (a < b) ^ (b < c) ^ (a < c)
+    turned = np.unique(first[winding != winding[first]])
+    return duplicate, len(turned) == len(faces) - np.count_nonzero(duplicate)
 
 
 @compiled

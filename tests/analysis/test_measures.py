@@ -236,7 +236,10 @@ def test_boxes_by_hand(parts, volume, turned):
     assert (signs[used] == of_vertices[used]).all()
 
 
-def test_an_open_surface_has_no_inside():
+def test_surfaces_that_are_open_or_look_both_ways_have_no_inside():
+    vertices, faces = torus()
+    ready = prepare_mesh(vertices, np.concatenate([faces[:, ::-1], faces]))
+    assert not measures.measure_enclosure(ready).is_inside_out
     vertices, faces = grid()
     ready = together(box(1.0, turned=True), (vertices + 9.0, faces))[0]
     assert not measures.measure_enclosure(ready).is_inside_out
