@@ -330,6 +330,12 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> erro
         and any(w.encode().startswith(token.lower()) for w in (wanted, *others.get(word, ())))
     )
     if status == stl_facets.CUT or (at + len(token) == len(buf) and is_begun):
+        place = bytes(buf).lower().find(b"endfacet")
+        if not facet and place >= 0:
+            message = "the facets are on the line of 'solid', all of which is the solid's name"
+            hint = "insert line breaks before 'facet' and 'endsolid'"
+            where = f"line {text_slots.line_of(buf, place)}"
+            return errors.FormatError(message, where=where, hint=hint)
         ends = "without 'endsolid'" if word == stl_facets.FACET else "within a facet"
         whole = errors.format_count(facet, "whole facet")
         return errors.cut_short(f"the text ends {ends}, after {whole}", where)

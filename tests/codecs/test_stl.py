@@ -179,6 +179,7 @@ DAMAGED = {
     "utf-16": (TEXT.decode().encode("utf-16"), "E_FORMAT", "byte 0"),
     "only a name": (b"solid a\n", "E_TRUNCATED", "facet 0, line 2"),
     "no endsolid": (TEXT[: TEXT.index(b"endsolid")], "E_TRUNCATED", "facet 4, line 30"),
+    "on one line": (b" ".join(TEXT.split()), "E_FORMAT", "line 1"),
     "cut in a keyword": (TEXT[: TEXT.index(b"outer") + 2], "E_TRUNCATED", "facet 0, line 3"),
     "cut in an exponent": (line(4, "vertex 0 0 1e")[:79], "E_TRUNCATED", ""),
     "no solid line": (TEXT[TEXT.index(b"facet") :], "E_FORMAT", "facet 0, line 1"),
