@@ -154,11 +154,12 @@ def command(request: Request) -> int:
 def _write_heatmap(request: Request) -> None:
     from msal_cli.job.comparison import build_heatmap
     from msal_cli.job.room import room_for_files
+    from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
     paths, target = (request.before, *request.others), request.heatmap
-    with room_for_files(paths, request.format):
+    with room_for_files(paths, request.format, bytes_per_face=DISTANCES_BYTES_PER_FACE):
         before, after = (request.open_file(path, request.format) for path in paths)
         data, low, high = build_heatmap(before, after, request.before)
         with interrupts.catch_signals():

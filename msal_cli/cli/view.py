@@ -94,6 +94,7 @@ def command(request: Request) -> int:
 
     from msal_cli.cli.report_files import REPORT, refuse_target, require_files
     from msal_cli.job.room import room_for_files
+    from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE
     from msal_cli.report.comparison import list_facts
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures
@@ -112,7 +113,7 @@ def command(request: Request) -> int:
     elif output != STREAM:
         refuse_target(output, "the picture", names)
     view = dataclasses.replace(read_view(request), colours=request.colours)
-    with room_for_files(names, format):
+    with room_for_files(names, format, bytes_per_face=DISTANCES_BYTES_PER_FACE):
         first, *second = (pictures.open_coloured_surface(name, format) for name in names)
         scene = pictures.scene_of(first, second[0] if second else None, names)
         if view.shows_file_colours and not request.quiet:

@@ -289,6 +289,7 @@ class Forecast:
     # not say, or says what the file has no bytes for
     vertices: int | None = None
     faces: int | None = None
+    n_triangles: int = 0  # an estimate where the header does not count them
     # resident memory of a process that denoises it, at the peak; None if there is no such file
     memory_bytes: int | None = None
 
@@ -351,7 +352,7 @@ def of_beginning(
     elif header.flavour in ("ply", "stl", "glb"):
         # Sizes alone say of these formats what they say of any.
         needed += (_PER_BYTE_OF_ANY - cost.per_byte) * size
-    return Forecast(format, header.vertices, header.faces, int(needed))
+    return Forecast(format, header.vertices, header.faces, n_triangles, int(needed))
 
 
 def _beside(head: bytes, path: str) -> int:

@@ -5,7 +5,7 @@ an error.
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import fields, replace
 from typing import Any, Literal
 
@@ -28,6 +28,7 @@ from msal_cli.job.records import (
     SurfaceDistance,
 )
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
+from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.storage.regular import Buffer
@@ -63,7 +64,10 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, which takes longest.
     """
     try:
-        with nullcontext() if data is not None else room_for_files((path,), format):
+        extra = INTERSECTIONS_BYTES_PER_FACE if with_intersections else 0
+        with ExitStack() as stack:
+            if data is None:
+                stack.enter_context(room_for_files((path,), format, bytes_per_face=extra))
             data = header.read_input(path, format) if data is None else data
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
@@ -140,7 +144,8 @@ def measure_files(
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
-    with room_for_files((before, after), format):
+    extra = INTERSECTIONS_BYTES_PER_FACE if with_intersections else DISTANCES_BYTES_PER_FACE
+    with room_for_files((before, after), format, bytes_per_face=extra):
         surfaces = surface_of(open_file(before, format)), surface_of(open_file(after, format))
         return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 

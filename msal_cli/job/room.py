@@ -82,18 +82,22 @@ def room_for_files(
     format: str | None = None,
     output: str | None = None,
     settings: Settings | None = None,
+    bytes_per_face: int = 0,
 ) -> AbstractContextManager[None]:
     """A context with room for files that are read together; raises as ``find_scratch`` does.
 
-    ``settings`` are those by which the first file is denoised, if it is.
+    ``settings`` are those by which the first file is denoised, if it is;
+    ``bytes_per_face`` is what is needed beyond that for each triangle of the largest.
     """
-    needs = [header.forecast(path, format=format).memory_bytes or BASE_BYTES for path in paths]
+    expected = [header.forecast(path, format=format) for path in paths]
+    needs = [each.memory_bytes or BASE_BYTES for each in expected]
     words = "opening this file" if len(paths) == 1 else "opening these files"
     if settings is not None:
         task = Task(paths[0], output or "", paths[0])
         needs[0] = forecast(task, settings).memory_bytes or BASE_BYTES
         words = _DENOISING
     needed = BASE_BYTES + sum(need - BASE_BYTES for need in needs)
+    needed += bytes_per_face * max(each.n_triangles for each in expected)
     return use_scratch(find_scratch(words, needed, output=output))
 
 

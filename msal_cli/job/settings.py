@@ -101,8 +101,13 @@ NO_LIMITS = Limits()
 _FIELDS_BYTES_PER_FACE = 64
 # A second set of positions stays until the output is built.
 _OUTLIERS_BYTES_PER_FACE = 12
-# A tree of boxes with nine directions, filled up to a power of two; measured: 1,060.
-_INTERSECTIONS_BYTES_PER_FACE = 1100
+
+DISTANCES_BYTES_PER_FACE = 270
+"""Memory per triangle of the larger of two surfaces whose distances are measured: a tree of boxes,
+filled up to a power of two."""
+
+INTERSECTIONS_BYTES_PER_FACE = 1100
+"""The same where faces that intersect are counted; the boxes have nine directions."""
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` by forecast: trying again would not help."""
@@ -559,7 +564,7 @@ def method_bytes_per_face(settings: Settings) -> int:
     if settings.looks_for_outliers:
         extra += _OUTLIERS_BYTES_PER_FACE
     if SELF_INTERSECTIONS in settings.checks:
-        extra += _INTERSECTIONS_BYTES_PER_FACE
+        extra += INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:
         return extra + max(methods.find(name).bytes_per_face for name in auto.METHODS)
     name, parameters = settings.method, settings.parameters
