@@ -48,6 +48,8 @@ _DENOISING = "denoising this file"
 LARGE_BYTES = 4 << 20
 """Files of this size and more have their headers read; smaller ones always fit."""
 
+_FOLDER_NAMES = "--scratch of msal denoise, by the output, or where there is none by TMPDIR"
+
 _KEPT_SHARE = 0.04
 """The part of a mesh's memory that stays in memory, at most, when its arrays are in files."""
 
@@ -138,7 +140,7 @@ def find_scratch(
             f"{megabytes(room, rounded_up=False)}, and the files of {folder!r} are in memory, too",
             code="E_MEMORY",
             where=FORECAST,
-            hint="name a folder on a disk by --scratch",
+            hint=f"name a folder on a disk by {_FOLDER_NAMES}",
         )
     free = n_bytes
     with suppress(OSError):  # using the folder reports the error
@@ -149,7 +151,7 @@ def find_scratch(
         raise OutputError(
             f"arrays that exceed the memory take up to {megabytes(n_bytes)} in {folder!r}, where "
             f"{megabytes(free, rounded_up=False)} are free",
-            hint="name a folder with more space by --scratch",
+            hint=f"name a folder with more space by {_FOLDER_NAMES}",
         )
     return Scratch(folder, n_bytes, room)
 
@@ -177,7 +179,7 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
         raise OutputError(
             f"arrays that exceed the memory cannot be kept in {scratch.folder!r}: "
             f"{os.strerror(error)}",
-            hint="name a folder with more space by --scratch",
+            hint=f"name a folder with more space by {_FOLDER_NAMES}",
         ) from None
 
 
