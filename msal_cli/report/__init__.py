@@ -1,1 +1,1 @@
-"""Records to bytes and to words: ``cli.report_files`` chooses the module."""
+"""Records to bytes and to text: ``cli.report_files`` chooses the module."""

@@ -1,20 +1,20 @@
 """Reports that build services show: Markdown, annotations and JUnit.
 
-Markdown is made for the summary of a step on GitHub, which refuses more than 1 MiB, and for
-comments on a change: totals, what failed and why, and the files worst first.  It is GitHub's
-Markdown, and nothing of a file's name is markup in it.  Rows that do not fit into ``MAX_BYTES`` are
-left out, and the page says how many.
+Markdown is for the summary of a step on GitHub, which refuses more than 1 MiB, and for comments on
+a change: totals, what failed and why, and the files, worst first.  It is GitHub's Markdown, and
+nothing in a file name acts as markup.  Rows that do not fit into ``MAX_BYTES`` are left out, and
+the page says how many.
 
 Annotations are commands that GitHub's runner reads from the log.  A command is one line,
-``::error file=NAME,title=TITLE::MESSAGE``.  In the message per cent signs and line ends are
-escaped, in the properties colons and commas too: nothing that a name or a reason holds can end the
-line, add a property or begin a command of its own.
+``::error file=NAME,title=TITLE::MESSAGE``.  Per cent signs and line ends are escaped in the
+message, in properties colons and commas, too, so that no name or reason can end the line, add a
+property or begin another command.
 
 JUnit is XML that is shown as tests.  A suite is a folder, a case is a file, a broken gate is a
-failure, a file that failed is an error, and one that was not dealt with is skipped.  The document
-keeps to the schemas of Ant and of Jenkins alike: every attribute that either demands is there, and
-none that either does not know.  XML 1.0 has no way to write most control characters.  In names and
-reasons they are written as ``\\xNN`` or ``\\uNNNN``, as on a terminal.
+failure, a failed file is an error, and a file that was not processed is skipped.  The document fits
+the schemas of both Ant and Jenkins: it has every attribute that either requires, and none that
+either does not know.  XML 1.0 cannot contain most control characters; in names and reasons they
+are written as ``\\xNN`` or ``\\uNNNN``, as on a terminal.
 """
 
 import json
@@ -31,10 +31,10 @@ from msal_cli.report import facts
 from msal_cli.report.data import plain, totals
 
 MAX_BYTES = 900_000
-"""Bytes of the largest report: below the 1 MiB that the summary of a step may have."""
+"""Bytes of the largest report: less than the 1 MiB that GitHub allows for a summary."""
 
 MAX_ROWS = 1_000
-"""Rows in a table: more is slow to show, and every file is in the other forms."""
+"""Rows in a table: more would be slow to show, and other formats have every file."""
 
 MAX_ANNOTATIONS = 10
 """GitHub shows no more errors of one step."""
@@ -43,15 +43,15 @@ _N_OPEN_ROWS = 25
 _MAX_TEXT = 1_000
 _MAX_COMMAND = 4_000
 
-# All that Markdown, GitHub's extensions of it or HTML could take for more than text.  Underscores
-# within words, which names are full of, are text everywhere.
+# Everything that Markdown, GitHub's extensions of it or HTML could read as markup.  Underscores
+# within words, which are frequent in names, are text everywhere.
 _MARKUP = re.compile(
     r"[&<>|`*~$\\\[\]#@]|:(?=\S)|(?<=www)\.|(?<![^\W_])_|_(?![^\W_])", re.ASCII | re.IGNORECASE
 )
 
 
 def render_markdown(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The report as UTF-8, in at most ``MAX_BYTES`` (or what the page takes without rows)."""
+    """The report as UTF-8, in at most ``MAX_BYTES`` (or the size of the page without rows)."""
     sums = totals(records)
     is_bad = sums.failed or sums.gate_broken
     sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
@@ -74,7 +74,7 @@ def render_markdown(run: Run, records: Sequence[MeshRecord]) -> bytes:
         codes = Counter(failure.code for failure in failures if failure is not None)
         remark = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
         cells = [(record, map(_text, texts)) for record, texts in rows]
-        # Many failures must not take the place of the figures.
+        # Many failures must leave room for the figures.
         section = _section(title, remark, heads, cells, left // 2)
         left -= len(section.encode())
         top += section
@@ -105,8 +105,8 @@ def _section(
     max_bytes: int,
     n_figures: int = 0,
 ) -> str:
-    """A title and a table of files in about ``max_bytes``, its last columns figures; nothing for a
-    table without rows."""
+    """A title and a table of files in about ``max_bytes``; its last ``n_figures`` columns are
+    figures.  Empty if there are no rows."""
     if not rows:
         return ""
     heads = ("file", *heads)
@@ -134,21 +134,21 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |\n"
 
 
-# Text that is no markup
+# Text without markup
 
 
 def _code(text: str) -> str:
-    # Code by a tag, because a bar within backquotes would still end the cell.
-    return f"<code>{_markup_free(shorten_name(escape_for_display(text), _MAX_COMMAND))}</code>"
+    # A tag, because a bar within backquotes would still end the cell.
+    return f"<code>{_escape_markup(shorten_name(escape_for_display(text), _MAX_COMMAND))}</code>"
 
 
 def _text(text: str) -> str:
     text = escape_for_display(text)
-    return _markup_free(text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]} ...")
+    return _escape_markup(text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]} ...")
 
 
-def _markup_free(text: str) -> str:
-    """One line of text as Markdown that shows it; a character by its number is never markup."""
+def _escape_markup(text: str) -> str:
+    """One line of text as Markdown; a character reference by number is never markup."""
     return _MARKUP.sub(lambda found: f"&#{ord(found[0])};", text)
 
 
@@ -161,8 +161,8 @@ _IN_PROPERTY = _IN_MESSAGE | str.maketrans({":": "%3A", ",": "%2C"})
 def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
     """The commands for the worst files that failed or broke a gate.
 
-    ``folder`` is where relative names begin, as a path from the root of the repository; empty if
-    that is where the program runs.
+    ``folder`` is the folder that relative names start from, as a path from the root of the
+    repository; empty if the program runs in that root.
     """
     commands = []
     for record in facts.worst_first(records):
@@ -175,7 +175,7 @@ def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[st
         if name != "-" and "://" not in name:
             if folder and not name.startswith("/"):
                 name = f"{folder.rstrip('/')}/{name}"
-            # Marks that a terminal obeys are escaped: better a name that leads nowhere.
+            # Control characters are escaped: better a name that leads nowhere.
             name = escape_for_display(name).translate(_IN_PROPERTY)
             properties = f"file={name},{properties}"
         message = "\n".join(texts).translate(_IN_MESSAGE)
@@ -185,7 +185,7 @@ def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[st
 
 # JUnit
 
-# Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
+# Lone surrogates and two code points that are no characters: what else XML refuses.
 _NO_CHARACTERS = re.compile("[\ud800-\udfff\ufffe\uffff]")
 
 _TOP = "."
@@ -193,7 +193,7 @@ _STREAM = "standard input"
 
 
 def render_junit(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The records as JUnit XML in UTF-8; folders in the order in which the inputs name them."""
+    """The records as JUnit XML in UTF-8; folders in the order of the inputs."""
     folders: dict[str, list[MeshRecord]] = {}
     for record in records:
         folder = escape_for_display(os.path.dirname(record.input)) or _TOP
@@ -208,7 +208,7 @@ def render_junit(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml.Element:
     cases = [_case(folder, record) for record in records]
-    # Ant's schema knows neither fractions nor time zones.
+    # Ant's schema allows neither fractions of seconds nor time zones.
     started = re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", run.started)
     suite = _element(
         "testsuite",
@@ -241,8 +241,8 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
         if parts and record.error is None:
             texts.append(f"{_name(record)}: {record.status}; {'; '.join(parts)}")
         warnings += [f"{_name(record)}: {escape_for_display(text)}" for text in record.warnings]
-    Xml.SubElement(suite, "system-out").text = _characters("\n".join(texts))
-    Xml.SubElement(suite, "system-err").text = _characters("\n".join(warnings))
+    Xml.SubElement(suite, "system-out").text = _to_xml_text("\n".join(texts))
+    Xml.SubElement(suite, "system-err").text = _to_xml_text("\n".join(warnings))
     return suite
 
 
@@ -253,13 +253,13 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         message = facts.failure_text(record.error, with_code=False)
         case.append(_element("error", type=record.error.code, message=message))
     elif why:
-        # Ant's schema has room for one failure in a case.
+        # Ant's schema allows one failure in a case.
         broken = "; ".join(map(facts.gate_values, facts.list_broken(record)))
         case.append(_element("failure", type="gate", message=broken))
     elif record.status == "planned":
         case.append(_element("skipped"))
     if why:
-        case[0].text = _characters(why)
+        case[0].text = _to_xml_text(why)
     return case
 
 
@@ -270,17 +270,17 @@ def _name(record: MeshRecord) -> str:
 
 def _element(tag: str, **attributes: str) -> Xml.Element:
     return Xml.Element(
-        tag, {name: _characters(escape_for_display(v)) for name, v in attributes.items()}
+        tag, {name: _to_xml_text(escape_for_display(v)) for name, v in attributes.items()}
     )
 
 
-def _characters(text: str) -> str:
-    """``text`` without what XML 1.0 has no place for."""
+def _to_xml_text(text: str) -> str:
+    """``text`` with escapes for what XML 1.0 cannot contain."""
     return _NO_CHARACTERS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _seconds(*records: MeshRecord) -> str:
-    """What the files of this run took in all."""
+    """The sum of the seconds of files that this run processed."""
     known = (item.seconds for item in records if item.status in DONE)
     total = sum(max(0.0, seconds.total) for seconds in known if seconds is not None)
     return f"{min(total, 1e9):.3f}"

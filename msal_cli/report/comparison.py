@@ -1,8 +1,8 @@
-"""What ``msal compare`` says: the text on one pair of files, the table of many, and comparisons
-read back as a baseline.
+"""The reports of ``msal compare``: text for one pair of files, a table for many; and earlier
+ones read as a baseline.
 
-Against a baseline every figure of which less is better may be larger than it was by a tolerance;
-what is larger still is a broken gate, as if one had been given for each file.
+Figures of which less is better may exceed their baseline by a tolerance.  A larger excess is a
+broken gate, as if a gate had been given for each file.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,14 +44,14 @@ BASELINE_FIGURES = (
     "area_change_percent",
     "flipped_faces",
 )
-"""What is compared with the baseline, changes by their size."""
+"""The figures that are compared with the baseline; of changes the absolute values."""
 
 SLACK = 1e-6
-"""What any figure may grow, in its own unit: rounding differs between machines."""
+"""The excess that any figure may have, in its own unit: rounding differs between machines."""
 
 
 def describe_comparison(record: ComparisonRecord) -> list[Line]:
-    """The lines on two files that were compared: their names, then one line per measure."""
+    """The lines for two files that were compared: their names, then one line per measure."""
     before = facts.vertices_text(record.vertices_before, record.corners_before)
     after = facts.vertices_text(record.vertices_after, record.corners_after)
     lines = [
@@ -65,7 +65,7 @@ def describe_comparison(record: ComparisonRecord) -> list[Line]:
 
 
 def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
-    """A row for every pair, then what could not be compared and why; lengths in mean edges."""
+    """A row for every pair, then the failures; lengths in mean edge lengths."""
     compared = [record for record in records if record.error is None]
     if compared:
         rows = [
@@ -91,7 +91,7 @@ def _pair_name(record: ComparisonRecord) -> str:
 
 
 def list_facts(record: ComparisonRecord) -> Iterator[Fact]:
-    """What is between two meshes, in words; warnings at the end."""
+    """The differences between two meshes as facts; warnings at the end."""
     angles = (record.mean_angular_error_deg, record.max_angular_error_deg)
     is_surface = record.correspondence == "surface"
     volume, pairs = record.volume, record.self_intersections
@@ -135,9 +135,9 @@ def _distance_text(distance: SurfaceDistance | None) -> str:
 
 
 def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Reference]:
-    """What was measured, by the path of the mesh that was measured; failures are left out.
+    """Comparisons by the path of the measured mesh, without failures.
 
-    ``data`` is what ``msal compare --json`` printed, or a report of ``msal denoise --reference``;
+    ``data`` is the output of ``msal compare --json``, or a report of ``msal denoise --reference``;
     FormatError, with ``name``, if it is neither.
     """
     content = parse_json(data, name, BASELINE)
@@ -165,8 +165,8 @@ def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Ref
 
 
 def find_partner(name: str, earlier: Mapping[str, Any]) -> Any | None:
-    """The earlier record of a file by its path or by the end of its path, because folders are
-    often others than they were; None if there is none, or more than one."""
+    """The earlier record of a file by its path or by the end of its path, because folders often
+    differ; None if there is none, or more than one."""
     if name in earlier:
         return earlier[name]
     end = "/" + name.replace("\\", "/")
@@ -177,13 +177,13 @@ def find_partner(name: str, earlier: Mapping[str, Any]) -> Any | None:
 def compare_with_baseline(
     record: Any, before: Any | None, tolerance: float
 ) -> tuple[GateResult, ...]:
-    """What became of each figure of a record that was known ``before``.
+    """The gates of a record whose figures were known ``before``.
 
     Parameters
     ----------
     record, before : a comparison now and then, or the reference part of a denoising; ``before`` is
-        None for a file that is new, which has no gates.
-    tolerance : by which share of what it was a figure may be larger.
+        None for a new file, which has no gates.
+    tolerance : the share of its old value by which a figure may be larger.
     """
     results = []
     for path in BASELINE_FIGURES:
@@ -210,6 +210,6 @@ def _baseline_figure(record: Any, path: str) -> float | None:
 
 
 def list_missing(names: Sequence[str], earlier: Mapping[str, Any]) -> list[str]:
-    """Paths of the baseline that no file of ``names`` has now."""
+    """Paths of the baseline that match none of ``names``."""
     found = {id(find_partner(name, earlier)) for name in names}
     return [path for path, record in earlier.items() if id(record) not in found]

@@ -7,8 +7,8 @@ CSV has one row per file, for spreadsheets: RFC 4180 in UTF-8 without a byte ord
 CR LF, a header row.  Nested fields have dotted names such as ``volume.change_percent``; unknown
 values are empty; several texts in one cell are joined by ``"; "``.  Text that a spreadsheet would
 take for a formula (it begins with ``=``, ``+``, ``-``, ``@``, tab, CR or LF) gets an apostrophe in
-front, and so does text that begins with an apostrophe: taking one away from every cell that has one
-gives the text back.
+front, and so does text that begins with an apostrophe: removing one apostrophe from every cell that
+begins with one restores the text.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ _HINTS = {
     REPORT: "name an output folder, a manifest in it, or a report in .json or .jsonl",
     BASELINE: "keep what msal compare --json prints, or a report of msal denoise --reference",
 }
-"""What a file with records is read as, and what to do where it is none."""
+"""Names for what a file is read as, and hints for a file that is not that."""
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
 _FREE_FORM = ("method.parameters", "choice.wishes")
@@ -63,7 +63,7 @@ COMMON_COLUMNS = (
 
 @dataclass(frozen=True)
 class Spread:
-    """The lowest, the median and the highest of a figure over ``files`` files."""
+    """The lowest, the median and the highest value of a figure over ``files`` files."""
 
     files: int = required("files that the figure is over")
     lowest: float = required("lowest value")
@@ -133,10 +133,10 @@ def known_values(records: Sequence[Any], path: str) -> list[Any]:
 
 
 def plain(value: Any) -> Any:
-    """A record, or ``value``, as plain data with nothing in it that strict JSON lacks.
+    """A record, or ``value``, as plain data that strict JSON can represent.
 
     A number that is not finite becomes None, text becomes ``portable``, a tuple a list, and a
-    number of another library a number; TypeError for anything that is not data.
+    number of another library a number; TypeError for anything else.
     """
     if value is None or isinstance(value, bool | int):
         return value
@@ -160,13 +160,13 @@ def plain(value: Any) -> Any:
 
 def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8; the order of keys is fixed."""
-    # Record by record: the plain data of ten thousand would take several times the text's memory.
+    # Record by record: the plain data of ten thousand need several times the memory of the text.
     head = {"schema": SCHEMA, **plain(run), "totals": plain(totals(records))}
     empty = json_bytes({**head, "records": []})
     if not records:
         return empty
     end = b"[]\n}\n"
-    # Line breaks within strings are escaped, so that those in the text are all of the layout.
+    # Line breaks within strings are escaped, so all line breaks are those of the layout.
     inner = b",\n    ".join(
         json_bytes(plain(record))[:-1].replace(b"\n", b"\n    ") for record in records
     )
@@ -174,7 +174,7 @@ def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 
 def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The records, one a line, in ASCII: some readers of lines also break at U+2028."""
+    """The records, one per line, in ASCII, because some readers also break lines at U+2028."""
     return b"".join(
         json.dumps(plain(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
         for record in records
@@ -182,12 +182,12 @@ def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 
 def json_bytes(data: Any) -> bytes:
-    """Plain data as strict, indented JSON in UTF-8, with a line end."""
+    """Plain data as strict, indented JSON in UTF-8, with a final line end."""
     return json.dumps(data, ensure_ascii=False, allow_nan=False, indent=2).encode() + b"\n"
 
 
 def read_json(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
-    """The run and the records of a JSON report; FormatError, with ``name``, if it is none."""
+    """The run and the records of a JSON report; FormatError, with ``name``, if it is not one."""
     content = parse_json(data, name, REPORT)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise not_a(REPORT, name, f"missing or unsupported schema (expected {SCHEMA})")
@@ -199,7 +199,7 @@ def read_json(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
 
 
 def read_lines(data: bytes, name: str) -> list[MeshRecord]:
-    """The records of a JSON Lines report; the errors are those of ``read_json``."""
+    """The records of a JSON Lines report; raises as ``read_json`` does."""
     places = ((f"line {at}", line) for at, line in enumerate(data.split(b"\n"), 1) if line.strip())
     return [
         _read_mesh_record(parse_json(line, name, REPORT, where), name, where)
@@ -208,7 +208,7 @@ def read_lines(data: bytes, name: str) -> list[MeshRecord]:
 
 
 def parse_json(data: bytes, name: str, what: str, where: str = "") -> Any:
-    """JSON, with the bytes in names that JSON cannot hold."""
+    """Parse JSON, and restore names that are not valid Unicode; FormatError if it is not JSON."""
     try:
         return map_texts(json.loads(data), restore_name)
     except (ValueError, RecursionError) as error:
@@ -231,7 +231,7 @@ def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
 
 
 def not_a(what: str, name: str, reason: str, where: str = "") -> FormatError:
-    """The error for a file that is no ``REPORT`` or ``BASELINE``."""
+    """The error for a file that is not a ``REPORT`` or ``BASELINE``."""
     return FormatError(f"this is no {what}: {reason}", where=where, hint=_HINTS[what], path=name)
 
 
@@ -241,7 +241,7 @@ def not_a(what: str, name: str, reason: str, where: str = "") -> FormatError:
 def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False) -> bytes:
     """The records as CSV, with ``COMMON_COLUMNS`` or with all fields in the order of the record.
 
-    Of all columns only the method's parameters and the wishes of --auto depend on the run.
+    All columns are fixed, except the method's parameters and the wishes of --auto.
     """
     import csv
     import io
@@ -262,7 +262,7 @@ def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False
 
 
 def leaf_fields(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """The dotted names and the types of the fields of a record and of the records within it."""
+    """The dotted names and types of the fields of a record, including nested records."""
     hints = typing.get_type_hints(kind)
     for item in dataclasses.fields(kind):
         hint, path = hints[item.name], prefix + item.name
@@ -296,7 +296,7 @@ def _cell(value: Any) -> str:
 
 
 def _item_text(value: Any) -> str:
-    """One of several texts in a cell: ``broken: abs(volume_change) > 1% (volume_change is -2.1%)``,
+    """The text of one item of a list: ``broken: abs(volume_change) > 1% (volume_change is -2.1%)``,
     ``AL, 3 sweeps (0.0724)`` with its risk, ``noise 0.08 (0.6)`` with level and probability."""
     if not isinstance(value, dict):
         return str(value)

@@ -1,8 +1,8 @@
-"""Facts and figures of records, from which all reports for people are written.
+"""Facts and figures of records; all reports for people are made of them.
 
-``list_facts`` says in words what is known of a file, ``FIGURES`` are the columns of tables, and
-``worst_first`` is the order in which files are listed.  The texts of ``list_facts`` are escaped for
-display; others are not: every writer escapes them for its format.
+``list_facts`` describes a file in words, ``FIGURES`` are the columns of tables, and ``worst_first``
+is the order in which files are listed.  The texts of ``list_facts`` are escaped for display; others
+are not: every writer escapes them for its format.
 """
 
 import json
@@ -30,14 +30,14 @@ from msal_cli.report.data import Totals, flatten, known_values, plain
 Tone = Literal["plain", "good", "bad", "faint"]
 
 ATTENTION, SHORT, DETAIL = 0, 1, 2
-"""Levels of facts and figures: what calls for attention, what a summary has, all that is known."""
+"""Levels of facts and figures: what needs attention, what a summary shows, everything else."""
 
 IMPULSIVE_TAIL = 0.02
 """Share of outlying vertices from which noise is called impulsive; Gaussian noise has 0.01."""
 
 
 class Fact(NamedTuple):
-    """A text on a file and the word that stands before it."""
+    """A text about a file, and the word that introduces it."""
 
     word: str
     text: str
@@ -47,7 +47,7 @@ class Fact(NamedTuple):
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text, escaped for display, and how it may be coloured."""
+    """A line of text, escaped for display, and its tone, which may become a colour."""
 
     text: str
     tone: Tone = "plain"
@@ -60,8 +60,8 @@ class Line:
 
 
 def list_facts(record: MeshRecord, defaults: Mapping[str, Any] | None = None) -> list[Fact]:
-    """What is known of a mesh and of what was done to it, what calls for attention first among
-    the remarks at the end; of its method's parameters those that differ from ``defaults``."""
+    """What is known of a mesh and of what was done to it; of the method's parameters only those
+    that differ from ``defaults``."""
     return [
         fact._replace(text=escape_for_display(fact.text))
         for source in (_facts(record, defaults or {}), _remarks(record))
@@ -115,7 +115,7 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
         text = f"95 % below {moved.p95_edges:.3g} mean edge lengths, most {moved.max:.3g}"
         yield Fact("displacement", f"{text} in file units", level=DETAIL)
     if volume is not None and not volume.valid:
-        # Boundary edges are a reason that the line on the mesh gives.
+        # The fact about the mesh already lists boundary edges, the reason.
         level = DETAIL if is_unchanged or record.boundary_edges else SHORT
         yield Fact("volume", f"no figure: {volume.reason}", level=level)
     elif volume is not None and volume.before is not None and volume.after is not None:
@@ -177,7 +177,7 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
 
 
 def fact_lines(facts: Iterable[Fact], width: int) -> Iterator[Line]:
-    """The lines of facts, their words in ``width`` columns."""
+    """Facts as lines, with their words in ``width`` columns."""
     for fact in facts:
         yield Line(f"  {fact.word:<{width}} {fact.text}", fact.tone)
 
@@ -195,14 +195,14 @@ class Figure(NamedTuple):
     level: int = SHORT
 
     def value(self, record: MeshRecord) -> Any:
-        """The value; the number of texts where there are several; None if it is not known."""
+        """The value; of several texts their number; None if it is not known."""
         if self.path == "seconds.total" and record.status not in DONE:
             return None  # of an earlier run
         value = value_at(record, self.path)
         return len(value) if isinstance(value, tuple) else value
 
     def text(self, record: MeshRecord) -> str:
-        """The value in words; empty if it is not known."""
+        """The value as text; empty if it is not known."""
         value = self.value(record)
         return percent_text(value) if self.unit == "%" else figure(value, self.form)
 
@@ -223,7 +223,7 @@ FIGURES = (
 
 
 def list_figures(records: Sequence[MeshRecord], level: int) -> list[Figure]:
-    """The figures of a level: of rare ones those that any record has, other than 0."""
+    """The figures up to a level; rare ones only if some record has a value other than 0."""
     rare = ("Flipped", "Outliers", "Warnings", "To reference")
     return [
         column
@@ -243,9 +243,9 @@ ORDER_TEXT = (
 
 
 def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
-    """The records in the order that ``ORDER_TEXT`` describes; equals stay in their order.
+    """The records in the order that ``ORDER_TEXT`` describes; equal ones keep their order.
 
-    A figure that is not finite counts as the largest, one that is not known as the smallest.
+    A figure that is not finite counts as the largest, an unknown one as the smallest.
     """
 
     def rank(record: MeshRecord) -> tuple[int, int, float, float]:
@@ -265,7 +265,7 @@ def _size(value: float | None) -> float:
 
 
 class ProblemTable(NamedTuple):
-    """Files that share a kind of problem, with the cells behind their names."""
+    """Files that share a kind of problem, with the cells after their names."""
 
     title: str
     heads: tuple[str, ...]
@@ -273,7 +273,7 @@ class ProblemTable(NamedTuple):
 
 
 def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
-    """What a reader has to look at, by kind; none without rows."""
+    """Tables of what needs attention, one per kind of problem; those without rows are left out."""
     failed, broken, warned, unmeasured, unsure = tables = (
         ProblemTable("Failed", ("reason", "what to do"), []),
         ProblemTable("Broken gates", ("gate",), []),
@@ -294,7 +294,7 @@ def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
 
 
 def problem_texts(record: MeshRecord) -> list[str]:
-    """Why a file failed or which gates it broke, one line each, escaped; none if all is well."""
+    """Why a file failed or which gates it broke, one line each, escaped; empty if neither."""
     name, broken = file_name(record.input), [gate_values(gate) for gate in list_broken(record)]
     texts = [f"{name}:", *broken] if broken else []
     if record.error is not None:
@@ -307,7 +307,7 @@ def problem_texts(record: MeshRecord) -> list[str]:
 
 
 def count_states(sums: Totals) -> list[Fact]:
-    """How many files are in which state: a word and a number."""
+    """How many files have which status: a word and a number each."""
     counts: tuple[tuple[str, int, Tone], ...] = (
         ("written", sums.written, "plain"),
         ("unchanged", sums.unchanged, "plain"),
@@ -326,8 +326,8 @@ def totals_text(sums: Totals) -> str:
 
 
 def total_facts(records: Sequence[MeshRecord], sums: Totals) -> list[Fact]:
-    """What a reader looks at over all files that did not fail."""
-    # It takes ten milliseconds to import.
+    """Facts about all files that did not fail."""
+    # The import takes ten milliseconds.
     import statistics
 
     records = [record for record in records if record.error is None]
@@ -368,7 +368,7 @@ def total_facts(records: Sequence[MeshRecord], sums: Totals) -> list[Fact]:
 
 
 def speed_text(run: Run, sums: Totals) -> str:
-    """``71,894 vertices in 10.0 s``; empty where nothing was done."""
+    """``71,894 vertices in 10.0 s``; empty if nothing was denoised."""
     if not sums.vertices or run.seconds <= 0.0:
         return ""
     return f"{format_count(sums.vertices, 'vertex')} in {seconds_text(run.seconds)}"
@@ -397,7 +397,7 @@ def seconds_text(seconds: float) -> str:
 
 
 def command_text(command: Sequence[str], max_length: int) -> str:
-    """A command line as a shell takes it, cut to a length."""
+    """A command line quoted for a shell, cut to a length."""
     import shlex
 
     text = shlex.join(command)
@@ -405,7 +405,7 @@ def command_text(command: Sequence[str], max_length: int) -> str:
 
 
 def setting_texts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Settings by their dotted names; truths as ``true`` and ``false``, unknown ones left out."""
+    """Settings by their dotted names, as text (``true``, ``false``); unset ones are left out."""
     for name, value in flatten(plain(data)):
         if value is not None and value not in ("", []):
             items = value if isinstance(value, list) else [value]
@@ -414,19 +414,19 @@ def setting_texts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def file_name(name: str) -> str:
-    """A file's name, escaped for display; ``-`` is where a stream comes from."""
+    """A file's name, escaped for display; ``-`` is standard input."""
     return "standard input" if name == "-" else escape_for_display(name)
 
 
 def failure_text(failure: Failure | MsalError, *, with_code: bool = True) -> str:
-    """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
+    """Why something failed, as one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
     where, message = failure.where, failure.message
     place = "" if not where or message.startswith(f"{where} ") else f"{where}: "
     return f"{place}{message}" + (f" ({failure.code})" if with_code else "")
 
 
 def failure_lines(name: str, failure: Failure | None) -> list[Line]:
-    """Why a file failed, and what to do about it; nothing if it did not fail."""
+    """Why a file failed, and its hint; empty if it did not fail."""
     if failure is None:
         return []
     lines = [Line(f"{name}: {failure_text(failure)}", "bad")]
@@ -438,7 +438,7 @@ def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
 
 
 def gate_values(gate: GateResult) -> str:
-    """A gate with the values that it was decided by, or why it could not be decided."""
+    """A gate with the values that decided it, or why it could not be decided."""
     text = f"{gate.expression} ({gate.reason})"
     return text if gate.decided else f"not decided: {text}"
 
@@ -450,8 +450,8 @@ def gate_text(gate: GateResult) -> str:
 
 
 def vertices_text(vertices: int | None, corners: int | None) -> str:
-    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL); they alone
-    where the vertices are not known."""
+    """``6,720 vertices (of 40,320 corners)``: with corners where the file stores these (STL), and
+    only corners where the vertices are not known."""
     if vertices is None:
         return format_count(corners, "corner")
     beside = f" (of {corners:,} corners)" if corners is not None else ""
@@ -459,7 +459,7 @@ def vertices_text(vertices: int | None, corners: int | None) -> str:
 
 
 def defects_text(record: MeshRecord | InfoRecord) -> str:
-    """What is wrong with a mesh, as counts; empty if nothing is."""
+    """The defects of a mesh with their numbers; empty if there are none."""
     winding = "between faces of opposite winding"
     counts = (
         (record.boundary_edges, "boundary edge", ""),
@@ -480,7 +480,7 @@ def self_intersections_text(pairs: SelfIntersections) -> str:
 
 
 def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[str]:
-    """The level of a mesh's noise and what it is like, then how it was estimated."""
+    """The level of a mesh's noise and what it is like, then details of the estimate."""
     level = f"{noise.mean_edges:.3g} mean edge lengths"
     interval = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}"
     texts = [f"{interval}; {noise.file_units:.3g} in file units"]
@@ -511,8 +511,8 @@ def is_filtered(record: MeshRecord) -> bool:
 
 
 def unsure_text(record: MeshRecord) -> str:
-    """Where a choice was made for noise or texture: ``noise of 0.08 e (60 %) or texture (40 %):
-    filtered mildly, --assume noise or texture decides``; else empty."""
+    """For a choice that could not tell noise from texture: ``noise of 0.08 e (60 %) or texture
+    (40 %): filtered mildly, --assume noise or texture decides``; else empty."""
     noise, choice = record.noise_estimate, record.choice
     if noise is None or choice is None or not noise.unsure or choice.wishes.get("assume"):
         return ""
@@ -521,7 +521,7 @@ def unsure_text(record: MeshRecord) -> str:
 
 
 def readings_text(noise: NoiseEstimate) -> str:
-    """Such as ``noise of 0.08 e (60 %) or texture (40 %)``."""
+    """For example ``noise of 0.08 e (60 %) or texture (40 %)``."""
     return " or ".join(
         reading.kind
         + (f" of {reading.level_edges:.2g} e" if reading.level_edges else "")
@@ -531,7 +531,7 @@ def readings_text(noise: NoiseEstimate) -> str:
 
 
 def auto_text(records: Sequence[MeshRecord]) -> str:
-    """Where --auto is expected to come much nearer to the truth, in one line; else empty."""
+    """For files where --auto would probably come much nearer to the truth, one line; else empty."""
     seconds = known_values(records, "choice.auto_seconds")
     if not seconds:
         return ""
@@ -547,7 +547,7 @@ def auto_text(records: Sequence[MeshRecord]) -> str:
 
 
 def tile_set_text(records: Sequence[MeshRecord]) -> str:
-    """What came of the files of a tile set that are written; empty if there is none."""
+    """The results for the files of a tile set that are written; empty if there are none."""
     tiles = [record for record in records if record.tile_set is not None]
     if not tiles:
         return ""

@@ -1,9 +1,9 @@
 """Gates: expressions that say when a file's record is not good enough, and their results.
 
-``abs(volume_change) > 1%`` is broken by a file whose volume changed by more than that.  Names are
-the numbers of a record, with the units of its fields; units are compared with each other while
-the text is parsed, before any file is read.  A value that is not known, or cannot be computed, is
-None and stays so, except that ``and`` and ``or`` may be decided without it.
+A file whose volume changed by more than 1 % breaks the gate ``abs(volume_change) > 1%``.  Names are
+the numbers of a record, with the units of its fields; units are checked while the text is parsed,
+before any file is read.  A value that is not known, or cannot be computed, is None.  A result that
+depends on it is None, too, but ``and`` and ``or`` may be decided without it.
 """
 
 import ast
@@ -27,18 +27,19 @@ Value = float | bool | None
 Record = TypeVar("Record", MeshRecord, ComparisonRecord)
 
 MAX_LENGTH = 300
-"""Characters of an expression, which bounds how deep its meaning can be nested."""
+"""Characters of an expression, which also limits how deeply it can be nested."""
 
 # Quantities
 
 
 Unit = str
-"""What a number is.
+"""The unit of a number.
 
-``constant`` is a number in the expression, ``number`` one that is counted or in a unit which the
-name says (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and ``relative`` are in
-percent, and a bare number means percent beside the first and nothing beside the second.  ``edges``
-is in mean edge lengths, and ``length``, ``area`` and ``volume`` are in file units."""
+``constant`` is a number in the expression; ``number`` is a count, or has a unit that its name gives
+(degrees, seconds); ``quotient`` is one of two values in the same unit.  ``percent`` and
+``relative`` are in percent; a number without a unit means percent if compared with the first, and
+is refused with the second.  ``edges`` is in mean edge lengths, and ``length``, ``area`` and
+``volume`` are in file units."""
 
 TRUTH, CONSTANT, NUMBER, QUOTIENT = "truth", "constant", "number", "quotient"
 PERCENT, RELATIVE, EDGES, LENGTH = "percent", "relative", "edges", "length"
@@ -63,7 +64,7 @@ SHORT_NAMES = {
     "risk": "choice.risk_edges",
     "seconds": "seconds.total",
 }
-"""The fields behind short names, as far as a kind of record has them; ``_change`` is relative."""
+"""Short names and the fields that they stand for, if a record has them; ``_change`` is relative."""
 
 _LENGTHS = {"hausdorff", "seam_gap", "tile_gap", "largest_weld", "mean_edge_length", "file_units"}
 _STATISTICS = {"mean", "rms", "p95", "max"}
@@ -75,14 +76,14 @@ _AGAINST_INPUT = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A field of a record, by its dotted path, under a name, and its unit."""
+    """A field of a record, by its dotted path, with a name and a unit."""
 
     name: str
     path: str
     unit: Unit
 
     def value_in(self, record: Any) -> Any:
-        """The value in a record; None if it is not known there."""
+        """The value in a record; None if it is not known."""
         value = value_at(record, self.path)
         return value if value is not None and value - value == 0.0 else None
 
@@ -104,7 +105,7 @@ class Quantity:
         return self.path.partition(".")[0]
 
     def why_unknown(self, record: Any) -> str:
-        """Why there is no value in a record, in words."""
+        """Why a record has no value, as text."""
         volume, why = record.volume, ""
         if volume is not None and not volume.valid and "volume" in self.path:
             why = volume.reason or "the volume means nothing"
@@ -127,7 +128,7 @@ class Quantity:
 
 @functools.cache
 def quantities(kind: Hashable) -> Mapping[str, Quantity]:
-    """Everything that can be named of a kind of record, short names first."""
+    """Every quantity of a kind of record that a gate can name, short names first."""
     fields = {
         path: TRUTH if part is bool else _unit(path)
         for path, parts in leaf_fields(typing.cast("type[Any]", kind))
@@ -160,7 +161,7 @@ def _edge_length(record: Any) -> float | None:
     return edge if edge and edge - edge == 0.0 else None
 
 
-# Expressions: the syntax is Python's, of which only what is below means something
+# Expressions have Python's syntax, of which only the following is allowed
 
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
 _HINTS = {"=": "equal is ==", "&": "write and", "|": "write or", "!": "write not, or != "}
@@ -176,7 +177,7 @@ _PLAIN = (CONSTANT, NUMBER, QUOTIENT)
 _PERCENTS = (PERCENT, RELATIVE)
 _FACTORS = (CONSTANT, QUOTIENT, *_PERCENTS)
 
-# An e that no digits follow is the unit of mean edge lengths, else an exponent.
+# An e without digits after it is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
     rf"(?a)(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{UNIT_PATTERN})\b)?"
     r"(?![\w.])|[A-Za-z_][\w.]*|<=|>=|==|!=|[<>()+\-*/,\s]|(?P<other>[\w.]+|.)"
@@ -185,7 +186,7 @@ _TOKEN = re.compile(
 
 class _Meaning(NamedTuple):
     """A part of an expression: its unit, its value in a record, its column from 1, and its name if
-    it is nothing but that."""
+    it is only a name."""
 
     unit: Unit
     value: Callable[[Any], Value]
@@ -194,13 +195,13 @@ class _Meaning(NamedTuple):
 
 
 class _Parser:
-    """Turns one expression into what it means; every error names the column."""
+    """Parses one expression; every error names the column."""
 
     def __init__(self, text: str, known: Mapping[str, Quantity], file_unit: str | None) -> None:
         self._text = text.strip()
         self._known = known
         self._file_unit = file_unit
-        # By column; in what Python parses, underscores stand in the place of numbers.
+        # By column.  For Python's parser, numbers are replaced by underscores.
         self._numbers: dict[int, _Meaning] = {}
         self.names: dict[str, Quantity] = {}
         self.tested: set[str] = set()
@@ -297,7 +298,7 @@ class _Parser:
     def _name(self, name: str, at: int) -> _Meaning:
         if name in self._known:
             quantity = self.names[name] = self._known[name]
-            # Counts, too, are floating numbers in computations.
+            # Counts, too, are floats in computations.
             value: Callable[[Any], Value] = quantity.value_in
             if quantity.unit != TRUTH:
                 value = _apply(float, value)
@@ -373,7 +374,7 @@ class _Parser:
 
 
 def _apply(effect: Callable[..., Any], *inner: Callable[[Any], Value]) -> Callable[[Any], Value]:
-    """``effect`` over several values; None if one is not known, or the result is not finite."""
+    """Apply ``effect`` to several values; None if one is not known, or the result is not finite."""
 
     def value(record: Any) -> Value:
         found = [function(record) for function in inner]
@@ -386,7 +387,7 @@ def _apply(effect: Callable[..., Any], *inner: Callable[[Any], Value]) -> Callab
 
 
 def _decide(inner: list[Callable[[Any], Value]], deciding: bool) -> Callable[[Any], Value]:
-    """``or``, if True is deciding, or ``and``: one value that decides is enough."""
+    """``or`` if ``deciding`` is True, else ``and``: one value equal to it decides."""
 
     def value(record: Any) -> Value:
         found = [function(record) for function in inner]
@@ -402,8 +403,8 @@ def _decide(inner: list[Callable[[Any], Value]], deciding: bool) -> Callable[[An
 
 @dataclass(frozen=True)
 class Gate:
-    """One expression, its value in a record, the quantities that it names, in the order in which
-    it does, and the names of those of which it asks whether they are known."""
+    """One expression, its value in a record, the quantities that it names, in order, and the names
+    that it tests with ``known``."""
 
     expression: str
     verdict: Callable[[Any], Value]
@@ -414,11 +415,11 @@ class Gate:
 def parse_gates(
     expressions: Sequence[str], kind: Hashable, file_unit: str | None = None
 ) -> tuple[Gate, ...]:
-    """The gates of several expressions over records of one kind.
+    """Parse several expressions for records of one kind.
 
-    ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.  UsageError
-    for what is no comparison, a name that no such record has, or units that do not go together; it
-    names the column.
+    ``file_unit`` is the unit of the files' lengths, such as ``mm``, if it is known.  Raises
+    UsageError, which names the column, for an expression that is no comparison, a name that no such
+    record has, or units that do not fit each other.
     """
     gates = []
     for text in expressions:
@@ -428,9 +429,9 @@ def parse_gates(
 
 
 def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
-    """Refuse gates on what is measured against a reference, where there is none; UsageError.
+    """Raise UsageError for gates on values against a reference, because there is no reference.
 
-    A gate that asks whether the value is known may stay.  ``remedy`` says how to get a reference.
+    A gate that tests whether the value is known is allowed.  ``remedy`` is the hint.
     """
     for gate in gates:
         for name, quantity in gate.quantities.items():
@@ -445,16 +446,16 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
 
 
 def need_intersections(gates: Sequence[Gate]) -> bool:
-    """Whether any gate depends on ``self_intersections``, which are counted on demand only."""
+    """Whether any gate depends on ``self_intersections``, which are counted only on request."""
     items = (item for gate in gates for item in gate.quantities.values())
     return any(item.part == "self_intersections" for item in items)
 
 
 def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
-    """What each gate says of one record.
+    """The results of gates for one record.
 
-    What is not known decides nothing: ``volume.valid and abs(volume_change) > 1%`` holds for an
-    open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
+    Unknown values decide nothing: ``volume.valid and abs(volume_change) > 1%`` is false for an open
+    mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
     """
     results = []
     for gate in gates:
@@ -465,7 +466,7 @@ def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]
         if verdict is None:
             unknown = [item.why_unknown(record) for item in items if known[item.name] is None]
             reason = "; ".join(unknown) or f"it cannot be computed: {reason}"
-        # Of data, true is 1.
+        # In the values, true becomes 1.
         values = {name: value if value is None else value + 0 for name, value in known.items()}
         is_broken, is_decided = verdict is not False, verdict is not None
         results.append(GateResult(gate.expression, is_broken, is_decided, values, reason))
@@ -473,8 +474,8 @@ def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]
 
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
-    """The records with the results of the gates, but for those of files that failed or were not
-    dealt with: their status says enough."""
+    """The records with the results of the gates; files that failed or were not processed get none,
+    because their status is enough."""
     if not gates:
         return list(records)
     return [

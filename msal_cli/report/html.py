@@ -1,14 +1,14 @@
 """The HTML report: one page for a whole run, which needs no network and no other file.
 
-Totals, what failed, histograms, the worst files in 3D, and a table of all files with their pictures
-that can be sorted and filtered.
+It shows totals, failures, histograms, the worst files in 3D, and a table of all files, with
+pictures, that can be sorted and filtered.
 
-Pictures and scenes are made from the inputs and outputs, which are read once more.  Only what the
-records name is shown: a file that is gone, or that is no longer the one that was denoised, is left
-out without a word.  Time, the size of files and the number of faces are bounded, the worst files
-come first, and what the bounds cost is said on the page.
+Pictures and scenes are made from the inputs and outputs, which are read once more.  A file that is
+gone, or is no longer the one that was denoised, has no picture and no message.  Time, the size of
+pictures and the number of faces are limited, the worst files come first, and the page says what
+was left out because of the limits.
 
-What comes from outside, names of files mostly, is escaped in two places: ``escape`` for elements,
+What comes from outside, mostly file names, is escaped in two places: ``escape`` for elements,
 ``_json`` for the data of the table.
 """
 
@@ -49,8 +49,8 @@ _MAX_PROBLEMS = 200
 
 
 class Pictures(NamedTuple):
-    """JPEGs of one mesh from one place: before, after, and where it moved (None: not known); and
-    ``pages.embed_scene`` of one that can be turned."""
+    """JPEGs of one mesh from one viewpoint: before, after, and the deviation (None: not known); and
+    the elements of ``pages.embed_scene`` if the mesh can be turned."""
 
     before: bytes
     after: bytes
@@ -59,10 +59,10 @@ class Pictures(NamedTuple):
 
 
 class Gallery(NamedTuple):
-    """Pictures by the path of the output, as far as there are any.
+    """Pictures by the path of the output, for the files that have some.
 
-    ``legend`` are elements that say what the colours of all deviations mean.
-    ``remarks`` say in words what was left out, and why.
+    ``legend`` are elements that explain the colours of all deviations.
+    ``remarks`` say what was left out, and why.
     """
 
     pictures: Mapping[str, Pictures]
@@ -150,7 +150,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
 
 
 def _round(value: float | None) -> float | None:
-    """Six digits: more would make a page of ten thousand files larger, and none is read."""
+    """Round to six digits: nobody reads more, and they would make large pages larger."""
     if value is None or isinstance(value, int):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None
@@ -254,7 +254,7 @@ def _count_text(number: float) -> str:
 
 
 def _json(data: Any) -> str:
-    """``data`` as the content of a script element: nothing in it ends the element or a line."""
+    """``data`` as the content of a script element; nothing in it can end the element or a line."""
     text = json.dumps(plain(data), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -268,17 +268,17 @@ _POSTER = 480, 320
 _BACKGROUND = 236, 238, 241
 _SHADES = 32
 _STANDARD_RANGE = 0.5
-# Below this, in mean edge lengths, nothing moved but the last digits.
+# Moves below this, in mean edge lengths, are rounding.
 _ROUNDING_EDGES = 1e-9
 
 MAX_SECONDS, MAX_PICTURE_BYTES = 60.0, 14_000_000
-"""What pictures of all files may cost; begun ones are finished."""
+"""Limits for the pictures of all files; a picture that was begun is finished."""
 
 MAX_FACES = 1_000_000
-"""Faces of one mesh with pictures."""
+"""A mesh with more faces gets no pictures."""
 
 MAX_SCENES, MAX_SCENE_FACES = 5, 100_000
-"""The worst files can be turned, as many, with at most so many faces each."""
+"""So many of the worst files can be turned in 3D, each with at most so many faces."""
 
 
 def build_gallery(
@@ -287,18 +287,18 @@ def build_gallery(
     backup: str = DEFAULT_BACKUP,
     on_file: Callable[[int, int], None] | None = None,
 ) -> Gallery:
-    """Pictures of as many files as the bounds allow, and scenes of the worst.
+    """Pictures of as many files as the limits allow, and scenes of the worst ones.
 
-    Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
-    denoised in place.  ``on_file`` is called before each file with the number of those done
-    and of all.
+    Never raises for a bad file.  ``backup`` is the suffix of the originals of files that were
+    denoised in place.  ``on_file`` is called before each file with the number of files done and of
+    all files.
     """
     reach = _reach(records)
     end = time.monotonic() + MAX_SECONDS
     images: dict[str, Pictures] = {}
     n_left = n_bytes = 0
     is_decimated = False
-    # Both meshes may be found again on this disk; an output of two runs may be of either.
+    # Only files with both meshes on this disk; an output of two runs may be from either of them.
     n_named = Counter(record.output for record in records)
     candidates = [
         record
@@ -319,7 +319,7 @@ def build_gallery(
         try:
             drawn = _draw(record, backup, reach, key)
         except Exception:
-            # A picture is an extra: whatever keeps it from being made keeps back no report.
+            # A picture is an extra: no error here may prevent the report.
             _log.info("%s: no picture", record.input, exc_info=True)
             continue
         if drawn is not None:
@@ -342,8 +342,8 @@ def build_gallery(
 
 
 def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> Pictures | None:
-    """Three pictures from one place, and a scene if it has a ``key``; None where a file is not
-    what the record says.  Colours reach to ``reach`` mean edge lengths."""
+    """Three pictures from one viewpoint, and a scene if it has a ``key``; None if a file is not
+    what the record says.  Colours extend to ``reach`` mean edge lengths."""
     output = str(record.output)
     is_in_place = os.path.realpath(record.input) == os.path.realpath(output)
     source = record.input + backup if is_in_place else record.input
@@ -359,7 +359,7 @@ def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> Pictures |
         place = (mesh.vertices, mesh.faces, camera, *size)
         return jpeg_bytes(shade(*place, painted, background=_BACKGROUND, colours_are=kind))
 
-    # Known where the faces are the same.
+    # The deviation is known if the faces are the same.
     moved, end = scene.deviation, reach * scene.before.mean_edge_length
     painted = None if moved is None else map_colours(moved, -end, end, "diverging")
     shown = Pictures(
@@ -384,7 +384,7 @@ def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> Pictures |
 
 
 def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:
-    """What the file at ``path`` holds; None if it is not there, or has another SHA-256."""
+    """The surface in the file at ``path``; None if it is missing, or has another SHA-256."""
     if not os.path.isfile(path):
         return None
     data = header.read_input(path, format)
@@ -394,10 +394,10 @@ def _surface(path: str, sha256: str | None, format: str | None) -> Surface | Non
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
-    """Mean edge lengths at the ends of the colours, the same for all files.
+    """Mean edge lengths at the ends of the colour scale, the same for all files.
 
-    What 95 % of the vertices of a typical file stay below, doubled and rounded up, so that a bad
-    file is visible.
+    It is twice the displacement that 95 % of the vertices of a typical file stay below, rounded up,
+    so that a bad file is visible.
     """
     done = [record for record in records if record.status in WITH_OUTPUT]
     moves = known_values(done, "displacement.p95_edges")

@@ -1,5 +1,5 @@
-"""What msal prints for people: of a run the facts of one file, or a table of several, what failed
-and why, and the totals; of files what is in them."""
+"""Text for people: the facts of a single file or a table of several, failures and totals of a run;
+and for ``msal info`` what is in files."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -13,10 +13,10 @@ from msal_cli.report.data import known_values, totals
 from msal_cli.report.facts import Fact, Line, Tone, file_name
 
 MAX_LINES = 8
-"""Lines on a single file; -v has all."""
+"""Lines for a single file; -v shows all."""
 
 MAX_ROWS = 40
-"""Files in the table; a longer one is not read, and every row is in a report."""
+"""Files in the table; nobody reads a longer one, and reports have every row."""
 
 MAX_WARNINGS = 20
 MAX_FAILURES = 200
@@ -26,15 +26,15 @@ _MIN_NAME_WIDTH = 16
 _START_S = 0.9
 """Seconds until the first worker denoises."""
 
-# What a summary lists; of noise or texture it has the number of files only.
+# The problems that a summary lists; it only counts files that may be noise or texture.
 _PROBLEMS = ("Failed", "Broken gates", "Warnings", "No comparison with the reference")
 
 _SHAPES = {"3": "triangle", "4": "quad"}
 
-# A file is printed before the next is read, so that no column but the first can fit its cells.
+# Files are printed one by one, so only the first column, the name, can fit all its cells.
 _INFO_LINE = "{}  {:7}  {:>10}  {:>10}  {:>6}  {:7}  {}"
 _INFO_WIDTH = 64
-"""Columns beside the name, 12 of them for problems."""
+"""Columns beside the name, of which 12 are for problems."""
 
 
 def summary(
@@ -45,11 +45,11 @@ def summary(
     verbose: bool = False,
     defaults: Mapping[str, Any] | None = None,
 ) -> list[Line]:
-    """The lines on a run: on one file in at most ``MAX_LINES``, on several as a table.
+    """The lines for a run: for one file at most ``MAX_LINES``, for several a table.
 
-    ``width`` is in columns and bounds the table only: reasons are never cut.  ``verbose`` lists
-    every file, warning and failure, however many there are, and of one file every fact.
-    ``defaults`` are parameters of the method of one file that need not be shown.
+    ``width`` is in columns and limits only the table: reasons are never cut.  ``verbose`` lists
+    every file, warning and failure, and every fact of a single file.  ``defaults`` are parameters
+    of the method of a single file that need not be shown.
     """
     if len(records) == 1:
         return list(_file_lines(run, records[0], verbose, defaults))
@@ -83,7 +83,7 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
 
 
 def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
-    """What a dry run says of all files: how many, how large, how long on so many cores."""
+    """The totals of a dry run: number of files, their size, and the time on so many cores."""
     pending = [record for record in records if record.status == "planned"]
     todo = [record.planned for record in pending if record.planned is not None]
     parts = [f"{format_count(len(pending), 'file')} to denoise"]
@@ -94,7 +94,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
         ]
     seconds = known_values(todo, "seconds")
     if seconds:
-        # A file is not shared among processes.
+        # One process does a file.
         total_s = max(max(seconds), sum(seconds) / min(n_cores, len(seconds))) + _START_S
         parts.append(f"about {facts.seconds_text(total_s)} on an idle machine")
     n_current = sum(record.status == "up-to-date" for record in records)
@@ -103,7 +103,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
 
 
 def file_text(record: MeshRecord) -> str:
-    """What became of a file, in one line: how, how far it moved, what calls for attention."""
+    """The result for a file in one line: how far it moved, and what needs attention."""
     if record.error is not None:
         return escape_for_display(f"failed: {facts.failure_text(record.error)}")
     words = ("left as it is" if record.status == "unchanged" else "moved", "warning")
@@ -119,7 +119,7 @@ def file_text(record: MeshRecord) -> str:
 
 
 def list_problems(records: Sequence[MeshRecord], verbose: bool, *titles: str) -> Iterator[Line]:
-    """The lines on what a reader has to look at, of all kinds or of those with these titles."""
+    """Lines for what needs attention: all problems, or those with these titles."""
     for title, _, rows in facts.problem_tables(records):
         if title not in (titles or _PROBLEMS):
             continue
@@ -136,7 +136,7 @@ def list_problems(records: Sequence[MeshRecord], verbose: bool, *titles: str) ->
 
 
 def remembered_text(count: int = 1) -> str:
-    """What summaries say of files that failed in an earlier run."""
+    """The remark in summaries on files that failed in an earlier run."""
     pronoun = "it" if count == 1 else "them"
     return f"failed in an earlier run and would fail again; --retry-failed tries {pronoun} anyway"
 
@@ -218,7 +218,7 @@ def table_lines(
     width: int,
     notes: Sequence[str] = (),
 ) -> Iterator[Line]:
-    """A table in ``width`` columns: a name, cut if need be, right-aligned cells, and a note."""
+    """A table in ``width`` columns: names, which may be cut, right-aligned cells, and notes."""
     notes = notes or [""] * len(names)
     widths = [max(map(len, cells)) for cells in zip(heads[1:], *rows, strict=True)]
     longest_note = max(map(columns, notes))
@@ -250,7 +250,7 @@ def _note(record: MeshRecord) -> str:
 
 
 def describe_info(record: InfoRecord) -> list[Line]:
-    """The lines on a file that could be read: its name, then one line per fact."""
+    """The lines for a file that could be read: its name, then one line per fact."""
     storage = (
         *(record.format, record.encoding, record.precision, "gzip" if record.compressed else ""),
         figure(record.bytes, ",", " bytes"),
@@ -294,9 +294,9 @@ def describe_info(record: InfoRecord) -> list[Line]:
 
 
 def info_table(records: Iterable[InfoRecord], paths: Sequence[str], width: int) -> Iterator[Line]:
-    """The lines of a table of files that could be read, each as its record comes.
+    """The lines of a table of files that could be read, each as soon as its record is known.
 
-    ``paths`` are known beforehand and bound the first column; ``width`` is in columns.
+    ``paths`` are known beforehand and limit the first column; ``width`` is in columns.
     """
     longest = max((columns(file_name(path)) for path in paths), default=0)
     name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - _INFO_WIDTH)))

@@ -1,7 +1,7 @@
-"""Files that appear whole or not at all, and the temporary files that dead processes left.
+"""Files that appear whole or not at all, and the removal of temporary files of dead processes.
 
-Every temporary file of msal is named ``.<anything>.msal-<process>-<machine><random>.tmp``, machine
-and random part being eight hexadecimal digits each.
+Every temporary file of msal is named ``.<anything>.msal-<process>-<machine><random>.tmp``, where
+the machine and the random part are eight hexadecimal digits each.
 """
 
 import contextlib
@@ -34,8 +34,8 @@ _TEMPORARY = re.compile(
     r"\..*\.msal-(?P<pid>\d{1,10})-(?P<machine>[0-9a-f]{8})[0-9a-f]{8}\.tmp", re.DOTALL
 )
 
-# A process id may have been given to another process meanwhile, and the processes of other machines
-# are not known here; but nothing is written for so long without the file's time changing.
+# A process id may have been reused, and processes of other machines are not visible here.  But
+# no writer takes this long without changing the time of its file.
 _STALE_AFTER_S = 24 * 3600.0
 
 _HINTS = {
@@ -57,21 +57,20 @@ def write_whole(
     """Write a file so that it is seen whole or not at all, even after a crash.
 
     The bytes go to a temporary file in the same folder, are flushed to the disk and counted, and
-    the file is then moved to its name; on any failure, and on an interrupt, it is removed.
+    the file is then moved to its name; on any failure, or an interrupt, it is removed.
 
-    A file that is replaced hands down its permission bits, a new one gets what the umask leaves,
-    and neither grants more than all of its ``sources`` do.  A
-    symbolic link is itself replaced, never the file that it leads to, because that could be an
-    input: who wants to write through a link resolves it first.
+    A replaced file passes its permission bits on, a new one gets those that the umask leaves, and
+    neither grants more than each of its ``sources``.  A symbolic link itself is replaced, never its
+    target, because that could be an input: to write through a link, resolve it first.
 
     Parameters
     ----------
-    path : the file to write; its folder must exist.  A URL is an object, see ``remote``.
+    path : the file to write; its folder must exist.  A URL is an object, see ``objects``.
     buffers : the content, in one piece or in several.
-    sources : files, paths or open, whose content is in it; URLs and pipes count for nothing.
+    sources : files, by path or open, whose content is in it; URLs and pipes are ignored.
 
-    Returns the mark of an object; nothing for a file.  Raises OutputError if the system refuses,
-    with the reason.
+    Returns the mark of an object, None for a file.  Raises OutputError, with the reason, if the
+    system refuses.
     """
     if isinstance(path, str) and is_url(path):
         from msal_cli.storage import objects as remote
@@ -84,17 +83,17 @@ def write_whole(
 def write_new(
     path: str | os.PathLike[str], buffers: Buffer | Iterable[Buffer], *, sources: Sources = ()
 ) -> bool:
-    """Write a file whole unless there is one already; whether it was written.
+    """Write a file whole unless it exists already; returns whether it was written.
 
-    Of several processes that write the same new file one succeeds, and the others find it whole.
+    If several processes write the same new file, one succeeds, and the others find it whole.
 
-    Raises OutputError if the system refuses, with the reason.
+    Raises OutputError, with the reason, if the system refuses.
     """
     return _write(path, buffers, sources, is_new=True)
 
 
 def make_folder(folder: str) -> None:
-    """Make a folder for outputs, and those above it, unless it is there; OutputError if not."""
+    """Make a folder and its parents, unless they exist; OutputError if that fails."""
     try:
         os.makedirs(folder, exist_ok=True)
     except OSError as error:
@@ -112,17 +111,17 @@ def _write(
     *,
     is_new: bool = False,
 ) -> bool:
-    """Write a temporary file and give it its name; whether that was done, as of ``_place``."""
+    """Write a temporary file and give it its name; returns whether that was done (``_place``)."""
     if isinstance(buffers, bytes | bytearray | memoryview):
         buffers = (buffers,)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-    # Windows would translate line ends and hand the handle down to children.
+    # Windows would translate line ends and let child processes inherit the handle.
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
     try:
         target = Path(path)
         widest, is_replacement = _choose_mode(target, sources)
         temporary = target.with_name(temporary_name(target.name))
-        # Never wider than in the end: who could read it for a moment may keep it open.
+        # Never wider than at the end: who can open it for a moment can keep it open.
         handle = os.open(temporary, flags, widest & 0o666 | 0o200)
         try:
             try:
@@ -159,8 +158,8 @@ def _write(
 
 
 def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
-    """The widest permission bits for the new file, and whether it replaces one, so that the umask
-    takes no part of them; refuses what must not be replaced."""
+    """The widest permission bits for the new file, and whether it replaces one, in which case the
+    umask does not apply; OSError for what must not be replaced."""
     group = _group_of_new_file(target.parent)
     widest = 0o777
     for source in sources:
@@ -169,7 +168,7 @@ def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
         try:
             status = os.stat(source)
         except OSError:
-            # It may be gone meanwhile.
+            # The source may have been removed.
             widest &= 0o600
         else:
             widest &= _bits_for_group(status, group) if stat.S_ISREG(status.st_mode) else 0o777
@@ -186,7 +185,7 @@ def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
 
 
 def _bits_for_group(status: os.stat_result, group: int | None) -> int:
-    """Permission bits; another ``group`` than that of the file may do what all others may."""
+    """Permission bits; if ``group`` is not that of the file, it may do what all others may."""
     bits = status.st_mode & 0o777
     if group is None or status.st_gid == group:
         return bits
@@ -194,7 +193,7 @@ def _bits_for_group(status: os.stat_result, group: int | None) -> int:
 
 
 def _group_of_new_file(folder: Path) -> int | None:
-    """The group that the system gives to a file made in ``folder``; None where it has none."""
+    """The group of a new file in ``folder``; None where the system has no groups."""
     if os.name != "posix":
         return None
     status = folder.stat()
@@ -203,7 +202,7 @@ def _group_of_new_file(folder: Path) -> int | None:
 
 
 def temporary_name(name: str) -> str:
-    """A name that says whose it is: process, machine, and eight random digits."""
+    """A name that identifies its owner: process, machine, and eight random digits."""
     suffix = f".msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
     room = MAX_NAME_BYTES - 1 - len(suffix)
     while len(os.fsencode(name)) > room:
@@ -215,7 +214,7 @@ def temporary_name(name: str) -> str:
 def machine_tag() -> str:
     """Eight hexadecimal digits that distinguish machines that share a file system.
 
-    Containers may have one host name and yet not see each other's processes.
+    Containers may share a host name without seeing each other's processes.
     """
     try:
         processes = os.readlink("/proc/self/ns/pid")
@@ -225,7 +224,7 @@ def machine_tag() -> str:
 
 
 def _place(temporary: Path, target: Path, is_new: bool) -> bool:
-    """Give a temporary file its name; False if it is to be a new file, and there is one."""
+    """Give a temporary file its name; False if it must be a new file and the name is taken."""
     if is_new:
         try:
             if os.name == "nt":
@@ -236,12 +235,12 @@ def _place(temporary: Path, target: Path, is_new: bool) -> bool:
         except FileExistsError:
             return False
         except OSError:
-            # A file system without hard links; then two processes can only be kept apart this far.
+            # A file system without hard links: this check is the best that is possible.
             if os.name == "nt":
                 raise
             if os.path.lexists(target):
                 return False
-    # On Windows a scanner that just looks at the file may delay it.
+    # On Windows a virus scanner may delay it by reading the file.
     for wait_s in (0.05, 0.2, 0.8) if os.name == "nt" else ():
         try:
             temporary.replace(target)
@@ -253,10 +252,10 @@ def _place(temporary: Path, target: Path, is_new: bool) -> bool:
 
 
 def flush_folder(folder: Path) -> None:
-    """Make the new name durable where the system can; the file itself already is.
+    """Make new names in a folder durable, where the system can; the files already are.
 
-    The file is in its place, so a system that cannot do this is no failure: the next run compares
-    files by their content, and would find after a power cut what was lost.
+    A failure is ignored, because the file is in place: the next run compares files by content, and
+    would notice what was lost in a power cut.
     """
     if os.name != "posix":
         return
@@ -268,7 +267,7 @@ def flush_folder(folder: Path) -> None:
             os.close(handle)
 
 
-# What dead processes left
+# Files that dead processes left
 
 
 def is_own(name: str) -> bool:
@@ -277,8 +276,8 @@ def is_own(name: str) -> bool:
 
 
 def sweep(folders: Iterable[str | Path], ended: int | None = None) -> int:
-    """Remove what dead processes left in these folders (not below them), or what process ``ended``
-    left, which is known to be dead; how many files."""
+    """Remove temporary files of dead processes in these folders (not below them), or those of the
+    process ``ended``, which is known to be dead; returns their number."""
     count = 0
     for folder in folders:
         names: list[str] = []
@@ -286,7 +285,7 @@ def sweep(folders: Iterable[str | Path], ended: int | None = None) -> int:
             names = [entry.name for entry in entries if entry.name.startswith(".")]
         for match in filter(None, map(_TEMPORARY.fullmatch, names)):
             path = Path(folder) / match[0]
-            # Another process may be faster, or the file locked; it does no harm.
+            # Another process may have removed it, or it may be locked; both are harmless.
             with contextlib.suppress(OSError):
                 is_here, pid = match["machine"] == machine_tag(), int(match["pid"])
                 is_left = is_here and (pid == ended if ended is not None else not is_alive(pid))

@@ -1,4 +1,4 @@
-"""Whole files in and out of memory: reading, gzip with a bound on what it may expand to, hashes."""
+"""Whole files in memory: reading, gzip with a limit on expansion, hashes."""
 
 import hashlib
 import os
@@ -15,11 +15,11 @@ GZIP_SUFFIX = ".gz"
 GZIP_MAGIC = b"\x1f\x8b"
 
 ALWAYS_EXPANDED = 32 << 20
-"""Bytes that a compressed file may always expand to."""
+"""A compressed file may always expand to this many bytes."""
 
 MAX_RATIO = 200
-"""Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
-text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
+"""Limit of expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most
+repetitive text files about 100; deflate allows 1032, which only malicious files approach."""
 
 _READ_HINTS: dict[type, str] = {
     regular.NotRegularError: "write what comes through it to a file first",
@@ -38,15 +38,15 @@ def read_whole(
 ) -> regular.Buffer:
     """The bytes of a regular file, or of an object behind a URL.
 
-    A large file comes as an array of numpy's, to be read only.  It is in large pages where the
-    system has such: to clear thousands of small ones takes longer than to copy what the file holds.
+    A large file comes as a read-only numpy array, in large pages where the system has them: to
+    clear thousands of small pages takes longer than to copy the content.
 
     Parameters
     ----------
-    size : bytes of an object, as far as that is known.
-    check : called with the open file and its size before anything is read; what it raises passes.
+    size : bytes of an object, if known.
+    check : called with the open file and its size before anything is read; its errors pass.
 
-    Raises InputError with code ``E_READ`` if the system cannot read it, or it is no regular file;
+    Raises InputError (``E_READ``) if the system cannot read it, or it is not a regular file;
     TooLargeError if it has, or grows to, more than half of the machine's memory.
     """
     if isinstance(path, str) and is_url(path):
@@ -73,10 +73,10 @@ def read_whole(
 
 
 def _read_to_end(file: BinaryIO, expected: int) -> regular.Buffer:
-    """All bytes of an open file, which may have more than the ``expected``, but not without end."""
+    """All bytes of an open file; it may have more than ``expected``, up to ``largest_bytes``."""
     if expected > regular.largest_bytes():
         raise regular.too_large(expected)
-    # One byte more than there should be, so that the next piece is the empty one at the end.
+    # Room for one byte more than expected, so that one read finds the end.
     pieces: list[regular.Buffer] = []
     size, room = 0, expected + 1
     if expected >= regular.LARGE_BYTES:
@@ -106,12 +106,12 @@ def is_gzip_name(name: str) -> bool:
 def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
     """The content of a file that may be compressed with gzip, and whether it was.
 
-    A file counts as compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; all
-    members of a file with several are joined.  Others are returned as they are.
+    A file is compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; the members
+    of a file with several are joined.  Other files are returned as they are.
 
     Raises FormatError if a ``.gz`` file is not gzip, or is damaged; TruncatedError if it ends
-    early; TooLargeError if it would expand to more than ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times
-    the compressed bytes read so far, whichever is more, or half of the machine's memory.
+    early; TooLargeError if it would expand to more than half of the machine's memory, or than the
+    greater of ``ALWAYS_EXPANDED`` and ``MAX_RATIO`` times the compressed bytes read so far.
     """
     view = memoryview(data).cast("B")
     if bytes(view[:2]) != GZIP_MAGIC:
@@ -125,12 +125,12 @@ def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
             hint="rename the file, or compress it",
         )
     pieces = _expand_pieces(view)
-    # A library would copy what is no ``bytes``.
+    # Libraries would copy what is not ``bytes``.
     return (_gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)), True
 
 
 def _gather(pieces: Iterable[bytes]) -> memoryview:
-    """All pieces in one array, to be read only: large arrays may live in files."""
+    """Join pieces in one read-only array, because large arrays may live in files."""
     import numpy as np
 
     room, size = np.empty(regular.LARGE_BYTES, dtype=np.uint8), 0
@@ -148,7 +148,7 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
     position = 0
     while position < size:
         begin = bytes(data[position : position + 2])
-        # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
+        # Zero bytes after the last member are padding (tape blocks), as for gzip itself.
         rest = range(position, size, _MAX_PIECE) if position and begin[0] == 0 else ()
         if rest and not any(bytes(data[at : at + _MAX_PIECE]).strip(b"\0") for at in rest):
             break
@@ -168,7 +168,7 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
                     f"the compressed data end after {position:,} bytes, in the middle",
                     f"byte {position}",
                 )
-            # A bomb is known by its first pieces.
+            # The first pieces reveal a decompression bomb.
             allowed = max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part)))
             allowed = min(regular.largest_bytes(), allowed)
             try:
@@ -193,7 +193,7 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
 
 
 def compress(data: regular.Buffer) -> regular.Buffer:
-    """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
+    """``data`` as gzip, always the same bytes: no time, no name, no operating system."""
     view = memoryview(data).cast("B")
     pieces = _compress_pieces(view)
     return b"".join(pieces) if len(view) < regular.LARGE_BYTES else _gather(pieces)
@@ -210,13 +210,13 @@ def _compress_pieces(view: memoryview) -> Iterator[bytes]:
 
 
 THREAD_BYTES = 1 << 20
-"""Bytes from which on a thread is worth its start."""
+"""Data of at least this size are worth a thread."""
 
 
 def sha256_meanwhile(data: regular.Buffer) -> Callable[[], str]:
-    """Begin to hash ``data``, which must not change; call what is returned for the hex digits.
+    """Begin to hash ``data``, which must not change; the returned function gives the hex digits.
 
-    A second core hashes while the first one parses, a single one while the disk writes.
+    A second core hashes while the first one parses; a single core while the disk writes.
     """
     if len(data) >= THREAD_BYTES:
         return in_background(lambda: hashlib.sha256(data).hexdigest())

@@ -1,10 +1,10 @@
 """Objects behind URLs, through fsspec: read whole, write whole, size and tag, listing.
 
-An object appears whole or not at all.  Object stores promise that of one put, and of an upload in
-parts that is completed; servers that hold files (SFTP, SMB, ...) are only read from.  Nothing is
-ever opened for writing and left to a destructor to finish.
+An object appears whole or not at all.  Object stores guarantee that for a single put, and for an
+upload in parts once it is completed; servers of files (SFTP, SMB, ...) are only read from.  Nothing
+is opened for writing and left to a destructor to close.
 
-Nothing is cached between calls: each asks the store.
+Nothing is cached: each call asks the store.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ from msal_cli.storage import urls
 from msal_cli.storage.regular import Buffer, largest_bytes, too_large
 from msal_cli.storage.urls import ObjectMark
 
-# Stores whose put is whole or nothing; of all others that is not known.
+# Stores whose put is atomic; for all others that is not known.
 _OBJECT_STORES = re.compile("s3a?|gs|gcs|az|abfss?|adl|oss|memory|https?")
 
-# s3fs tries again what botocore has tried again, and both around each other: without a bound
-# a store that cannot be reached costs minutes a file.
+# s3fs retries what botocore has already retried: without this limit, each file in a store that
+# cannot be reached would take minutes.
 _TRIES_AROUND_BOTOCORE = 2
 
 _MAX_THREADS = 16
@@ -38,9 +38,9 @@ _file_systems: dict[tuple[str, str], Any] = {}
 
 
 def read_whole(url: str, size: int | None = None) -> bytes:
-    """The bytes of an object; ``size`` is what a listing has just said that it has of them.
+    """The bytes of an object; ``size`` is its size in a recent listing, if known.
 
-    Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
+    Raises InputError (``E_READ``) if it is missing, or the store does not deliver it; TooLargeError
     if it has more than half of the machine's memory; UsageError if a package is missing.
     """
     with _opened(url, "the object cannot be read") as (system, path):
@@ -49,7 +49,7 @@ def read_whole(url: str, size: int | None = None) -> bytes:
             size = known.size if known is not None else 0
         if size > largest_bytes():
             raise too_large(size)
-        # Parts that are fetched at the same time may be of two versions of the object.
+        # Parts that are fetched in parallel may be from two versions of the object.
         cat = getattr(system, "_cat_file", None)
         takes_limit = cat is not None and "max_concurrency" in inspect.signature(cat).parameters
         data: bytes = system.cat_file(path, **({"max_concurrency": 1} if takes_limit else {}))
@@ -58,8 +58,8 @@ def read_whole(url: str, size: int | None = None) -> bytes:
 
 @contextlib.contextmanager
 def _opened(url: str, message: str, *, is_output: bool = False) -> Iterator[tuple[Any, str]]:
-    """The file system of a URL and the path in it; whatever it raises in the block becomes
-    InputError (``E_READ``) or OutputError."""
+    """The file system of a URL and the path in it; errors in the block become InputError
+    (``E_READ``) or OutputError."""
     try:
         yield _open(url)
     except (MsalError, MemoryError):
@@ -74,9 +74,9 @@ def _opened(url: str, message: str, *, is_output: bool = False) -> Iterator[tupl
 
 
 def read_beginning(url: str, length: int) -> tuple[bytes, int]:
-    """At most ``length`` bytes of an object's beginning, and its size; two requests.
+    """At most ``length`` bytes from the beginning of an object, and its size; two requests.
 
-    Raises InputError (``E_READ``) if there is none; UsageError if a package is missing.
+    Raises InputError (``E_READ``) if it is missing; UsageError if a package is missing.
     """
     there = mark(url)
     if there is None:
@@ -84,15 +84,15 @@ def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     data = b""
     with _opened(url, "the object cannot be read") as (system, path):
         if there.size:
-            # A range of nothing is an error to some stores; a web server may send all of it.
+            # An empty range is an error in some stores; a web server may ignore the range.
             data = system.cat_file(path, start=0, end=length)[:length]
     return data, max(there.size, len(data))
 
 
 def read_many(marks: Mapping[str, ObjectMark]) -> list[bytes]:
-    """The bytes of several objects, with the marks of a listing, some at the same time.
+    """The bytes of several objects with the marks of a listing, in parallel.
 
-    The errors are those of ``read_whole``; all together may have half of the machine's memory.
+    Raises as ``read_whole`` does, with the limit of memory for all of them together.
     """
     if not marks:
         return []
@@ -107,9 +107,9 @@ def read_many(marks: Mapping[str, ObjectMark]) -> list[bytes]:
 
 
 def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
-    """Write an object so that it is seen whole or not at all; its mark, as the store gives it.
+    """Write an object so that it is seen whole or not at all; returns its mark from the store.
 
-    Raises OutputError if the store does not take it; UsageError if a package is missing.
+    Raises OutputError if the store refuses it; UsageError if a package is missing.
     """
     if isinstance(buffers, bytes | bytearray | memoryview):
         buffers = (buffers,)
@@ -134,7 +134,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
 
 
 def mark(url: str) -> ObjectMark | None:
-    """Size and tag of an object; None if there is none (a folder is none).
+    """Size and tag of an object; None if there is none (folders are not objects).
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
     """
@@ -143,10 +143,9 @@ def mark(url: str) -> ObjectMark | None:
 
 
 def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
-    """Every object below a folder, of at most ``depth`` parts, by its name there, with ``/``.
+    """The objects below a folder by their names there, with ``/``, of at most ``depth`` parts.
 
-    On object stores that is one request for a thousand objects, however deep they lie.  The errors
-    are those of ``mark``.
+    Object stores list a thousand objects per request, at any depth.  Raises as ``mark`` does.
     """
     with _opened(url, "the folder cannot be listed") as (system, path):
         system.invalidate_cache()
@@ -163,7 +162,7 @@ def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
 
 
 def remove_objects(object_urls: Sequence[str]) -> None:
-    """Remove objects of one store, as far as it lets us; what stays is no error."""
+    """Remove objects of one store, where that is allowed; failures are ignored."""
     if not object_urls:
         return
     with contextlib.suppress(Exception):
@@ -185,7 +184,7 @@ def _open(url: str) -> tuple[Any, str]:
 
         kind: Any = fsspec.get_filesystem_class(protocol)
     except ImportError as failure:
-        # Of a known protocol fsspec says what to install.
+        # For a known protocol, fsspec's message says what to install.
         is_extra = protocol in ("s3", "s3a", "gs", "gcs") or failure.name == "fsspec"
         raise UsageError(
             f"{protocol}:// cannot be used: {_one_line(failure)}",
@@ -198,11 +197,11 @@ def _open(url: str) -> tuple[Any, str]:
         ) from None
     is_s3 = protocol in ("s3", "s3a")
     if is_s3 and "?versionId=" in url:
-        # s3fs would cut the name there, and read or replace another object.
+        # s3fs would cut the name there, and use another object.
         raise ValueError("a name with ?versionId= in it cannot be distinguished from a version")
     options = {} if is_s3 else dict(kind._get_kwargs_from_urls(url))
     path: str = kind._strip_protocol(url)
-    # An instance is shared by all threads: of several, each would have its own connections.
+    # Shared by all threads, so that they share connections.
     key = (protocol, repr(sorted(options.items())))
     with _lock:
         if key not in _file_systems:
@@ -224,7 +223,7 @@ def _mark(system: Any, path: str) -> ObjectMark | None:
     try:
         info: dict[str, Any] = system.info(path)
     except (FileNotFoundError, NotADirectoryError) as failure:
-        # Of a web server that cannot be reached fsspec says that, too.
+        # fsspec also raises this for a web server that cannot be reached.
         if isinstance(failure.__cause__, OSError):
             raise failure.__cause__ from None
         return None
@@ -249,7 +248,7 @@ def _mark_of(info: dict[str, Any]) -> ObjectMark:
     return ObjectMark(size, "")
 
 
-# Names of exceptions, of libraries that need not be here; what each means, and what to do.
+# Class names of exceptions, because the libraries may be missing; the reason, and what to do.
 _EXPLANATIONS = (
     (
         "((CredentialRetrieval|DefaultCredentials|NoCredentials|PartialCredentials|TokenRetrieval)"

@@ -1,9 +1,9 @@
-"""Regular files, opened for reading without waiting, and how much of one may be in memory.
+"""Open regular files for reading without blocking, and limit how much of one is kept in memory.
 
-Opening a FIFO waits for a writer, reading a terminal waits for a key, and some devices never end.
-A folder of scans may hold all of them under the name of a mesh, so every file of the disk whose
-name comes from outside is opened here.  Symbolic links are followed; what counts is the file at
-their end.
+Opening a FIFO blocks until there is a writer, reading a terminal blocks until a key is pressed, and
+some devices never end.  A folder of scans may contain all of these under the names of meshes, so
+every local file whose name comes from outside is opened here.  Symbolic links are followed; their
+targets must be regular files.
 """
 
 import errno
@@ -23,14 +23,14 @@ _KINDS = (
     (stat.S_ISBLK, "a block device"),
 )
 
-# Windows would translate line ends and hand the handle down to children.
+# Windows would translate line ends and let child processes inherit the handle.
 _FLAGS = 0
 for _name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY", "O_NOINHERIT"):
     _FLAGS |= getattr(os, _name, 0)
 
 
 class NotRegularError(OSError):
-    """What has the name of a file is a pipe, a socket or a device."""
+    """A pipe, a socket or a device has the place of a regular file."""
 
 
 def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
@@ -39,15 +39,15 @@ def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
     Raises NotRegularError for a pipe, a socket or a device, which is not opened; OSError if the
     system cannot open it, or it is a folder.
     """
-    # Asked before, because opening alone sets some devices in motion, and after, because the name
-    # may have got another file in between.
+    # Checked before, because opening alone can start a device, and again after, because the name
+    # may lead to another file by then.
     _require_regular(os.stat(path).st_mode)
     return open(_open(path, os.O_RDONLY), "rb", buffering=buffering)
 
 
 def open_own(path: str | os.PathLike[str], flags: int = 0) -> int:
-    """The handle of a file of msal's own, to read and write it; OSError for a link, which may lead
-    anywhere, and for what is no regular file."""
+    """Open a file of msal's own to read and write it, and return the handle; OSError for a link,
+    which could lead anywhere, and for anything but a regular file."""
     return _open(path, flags | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
 
 
@@ -70,14 +70,14 @@ def _require_regular(mode: int) -> None:
 
 
 LOOKED_AT = 1 << 16
-"""Bytes of a file's beginning that show its format and its counts."""
+"""Bytes at the beginning of a file that show its format and its counts."""
 
 LARGE_BYTES = 4 << 20
-"""Bytes from which on the system may give large pages of memory."""
+"""From this size on, the system may give large pages of memory."""
 
 
 def memory_bytes() -> int:
-    """Physical memory of this machine; more than any machine has where it is not known."""
+    """Bytes of physical memory of this machine; if unknown, more than any machine has."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -89,7 +89,7 @@ _is_large_allowed = False
 
 @contextmanager
 def large_files_allowed() -> Iterator[None]:
-    """Have files of any size be read, because large arrays are not kept in memory."""
+    """Within the block, allow files of any size, because large arrays are not kept in memory."""
     global _is_large_allowed
     before, _is_large_allowed = _is_large_allowed, True
     try:
@@ -99,12 +99,12 @@ def large_files_allowed() -> Iterator[None]:
 
 
 def largest_bytes() -> int:
-    """The most bytes that a file may have to be kept in memory: half of the machine's."""
+    """The largest file that is kept in memory: half of the machine's memory, in bytes."""
     return sys.maxsize if _is_large_allowed else memory_bytes() // 2
 
 
 def too_large(size: int) -> TooLargeError:
-    """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
+    """The error for a file of ``size`` bytes, more than ``largest_bytes``."""
     return TooLargeError(
         f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be loaded into the "
         "memory of this machine",

@@ -1,7 +1,7 @@
-"""Materials and textures: what the input names must be found from the output's folder too.
+"""Materials and textures: files that the input refers to must also be found from the output.
 
-A file is copied to the same relative place; nothing is ever overwritten.  Several worker processes
-may carry the same file at once, because meshes of one folder share their materials.
+A file is copied to the same relative place; nothing is overwritten by default.  Several workers may
+copy the same file at once, because meshes in one folder share their materials.
 """
 
 import filecmp
@@ -16,13 +16,13 @@ from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
 
 MAX_MATERIAL_BYTES = 16 << 20
-"""Bytes of a material library that is searched for textures; real ones have a few thousand."""
+"""Bytes of a material library that are searched for textures; real ones have a few thousand."""
 
 MAX_REFERENCES = 10_000
-"""Files that one mesh may name."""
+"""Files that one mesh may refer to."""
 
 MAX_BYTES = 4 << 30
-"""Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
+"""Bytes of all files that are copied for one mesh; a sparse file can have any size."""
 
 _IN_PLACE = " is in place already"
 _PIECE = 8 << 20
@@ -35,7 +35,7 @@ _TEXTURE = re.compile(
     rb"\s*(?:map_\S*|bump|disp|decal|refl|norm)\s+(?:" + _OPTION + rb")*+(.*)", re.IGNORECASE
 )
 """A line that names a texture: a keyword, options with a fixed number of words or up to three
-numbers, and the name, which may have blanks and begin with a hyphen."""
+numbers, and the name, which may contain blanks and begin with a hyphen."""
 
 
 def carry(
@@ -45,28 +45,28 @@ def carry(
     *,
     force: bool = False,
 ) -> tuple[str, ...]:
-    """Make sure that the files an input names are found from the output's folder.
+    """Copy the files that an input refers to, so that they are found from the output's folder.
 
-    Each is copied to the same place relative to the output as it has relative to the input, byte
-    for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
-    the same content is left alone.  An absolute reference needs nothing; one that leaves the
-    output folder, one whose file is missing or no regular file, and one that leads out of the
-    input's folder, as a link may, is only reported: a scan of another person must not carry
-    files of this machine along.  To and from URLs nothing is copied.
+    Each gets the same place relative to the output as it has relative to the input, byte for byte;
+    textures that a copied ``.mtl`` names are copied, too.  A file that is there already with the
+    same content is left alone.  An absolute reference needs nothing.  A reference that leaves the
+    output folder, one whose file is missing or not regular, and one that leads out of the input's
+    folder, as a link may, are only reported: a scan from elsewhere must not copy files of this
+    machine along.  To and from URLs nothing is copied.
 
     Parameters
     ----------
     references : the names, as written in the input.
-    input_path, output_path : the mesh files; the output's folder is made where it is missing.
-    force : replace other files that are not newer than the output that there is already: they may
-        be its old copies, and are of no other input of this run.
+    input_path, output_path : the mesh files; the output's folder is made if it is missing.
+    force : replace other files that are not newer than the existing output: they may be its old
+        copies, and belong to no other input of this run.
 
     Returns what was done, one line for each file; lines that need attention begin with
-    ``warning:``.  Raises OutputError with code ``E_SIDECAR`` if another file has the place; with
-    ``E_WRITE`` if copying fails.
+    ``warning:``.  Raises OutputError: ``E_SIDECAR`` if another file has the name, ``E_WRITE`` if
+    copying fails.
     """
     if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
-        # A second run could not see which run owns a name.
+        # A later run could not see which run owns a name.
         names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
         more = f" and {len(names) - 3:,} more" if len(names) > 3 else ""
         said = f"{', '.join(names[:3])}{more}"
@@ -76,7 +76,7 @@ def carry(
     notes: list[str] = []
     done: set[str] = set()
     made_at = os.lstat(output_path).st_mtime_ns if force and os.path.lexists(output_path) else -1
-    # Bytes that may still be carried.
+    # Bytes that may still be copied.
     budget = [MAX_BYTES]
     waiting = list(references)
     while waiting:
@@ -101,7 +101,7 @@ def carry(
 
 
 def are_in_place(notes: Sequence[str], input_path: str, output_path: str) -> bool:
-    """Whether the files that ``carry`` made sure of, by what it returned, are there still."""
+    """Whether the files in ``notes``, which ``carry`` returned, are still there."""
     folder = Path(output_path).parent
     found = (note.removeprefix("copied ").removesuffix(_IN_PLACE) for note in notes)
     names = (name for name, note in zip(found, notes, strict=True) if name != note)
@@ -118,7 +118,7 @@ def _is_absolute(reference: str) -> bool:
 
 
 def _relative(reference: str, folder: Path) -> Path | None:
-    """The reference as a path from ``folder``, backslashes read as such only where they must be."""
+    """A reference as a path from ``folder``; backslashes separate parts only if they must."""
     if not reference.strip() or "\0" in reference or _is_absolute(reference):
         return None
     literal = Path(reference)
@@ -135,8 +135,8 @@ def _carry(
     budget: list[int],
     made_at: int,
 ) -> str:
-    """Carry one file, in place of one that is no newer than ``made_at``; what was done, empty if
-    nothing had to be."""
+    """Copy one file, also over one that is not newer than ``made_at``; returns what was done, empty
+    if nothing had to be."""
     if relative is None:
         if _is_absolute(reference):
             return f"{reference} is an absolute path and stays as it is"
@@ -185,7 +185,7 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 
 def _copy(source: Path, target: Path, write: Callable[..., object]) -> None:
-    """Copy a file, with ``write_new`` to a free place; a second run finds it taken and compares."""
+    """Copy a file with ``write``; if that finds the name taken, the contents must be equal."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with open_regular(source) as stream:

@@ -1,8 +1,8 @@
 """URLs as text: distinguishing them from paths, and joining them.
 
-A URL is ``protocol://`` and a path whose parts are names as they are: nothing in them is escaped,
-``%``, ``#``, spaces and line breaks are literal.  One with a secret in it (a password, the query of
-a signed link) is refused.
+A URL is ``protocol://`` and a path whose parts are literal names: nothing is escaped, not even
+``%``, ``#``, spaces and line breaks.  A URL that contains a secret (a password, the query of a
+signed link) is refused.
 """
 
 import os
@@ -18,7 +18,7 @@ _PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
 _QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
 _ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
 
-# Windows takes these for devices, whatever suffix follows.
+# Windows treats these names as devices, with any suffix.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\.| *$)", re.IGNORECASE)
 
 
@@ -34,14 +34,14 @@ class ObjectMark:
 
 
 def is_url(text: str) -> bool:
-    """Whether ``text`` names an object behind a protocol, and not a file of this machine."""
+    """Whether ``text`` is the URL of an object, not of a local file."""
     match = _URL.match(text)
     return match is not None and match["protocol"].lower() not in _FILES
 
 
 def normalize_url(text: str) -> str:
-    """A path or URL as everything else here takes it, ``file://`` gone; UsageError for a URL with
-    a password or a query."""
+    """A path or URL in the form that this module expects, without ``file://``; UsageError for a URL
+    with a password or a query."""
     match = _URL.match(text)
     if match is None:
         return text
@@ -58,7 +58,7 @@ def normalize_url(text: str) -> str:
 
 
 def redact(text: str) -> str:
-    """``text``, such as a word of a command line or a message, without what is secret in it."""
+    """``text``, such as a word of a command line or a message, with secrets replaced by ``***``."""
     return _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
 
 
@@ -68,12 +68,12 @@ def split(url: str) -> tuple[str, str]:
 
 
 def join_url(url: str, relative: str) -> str:
-    """The URL of ``relative``, written with ``/``, below a URL."""
+    """The URL of ``relative``, which is written with ``/``, below a URL."""
     return f"{folder(url)}{relative}"
 
 
 def folder(url: str) -> str:
-    """The URL of a folder, with one slash at its end, so that other URLs may begin with it."""
+    """The URL of a folder with one slash at its end, so that it is a prefix of those below it."""
     protocol, path = split(url)
     # All the slashes of memory:// belong to it.
     path = path.rstrip("/")
@@ -86,17 +86,17 @@ def name(url: str) -> str:
 
 
 def identity(url: str) -> str:
-    """Equal for URLs that are the same object by another spelling of the protocol."""
+    """A key that is equal for URLs of one object with different spellings of the protocol."""
     protocol, path = split(url)
     return f"{_ALIASES.get(protocol, protocol)}://{path.lstrip('/')}"
 
 
 def escape_name(relative: str, *, is_local: bool) -> str:
-    """An object's name below its folder as a name below another folder, never out of it.
+    """The name of an object, relative to its folder, for use below another folder.
 
-    An object may be called ``../x`` or ``a//b``, which a file system, and many a server, takes for
-    another place.  Parts that are ``..``, ``.`` or empty get the escapes of a URL instead, and for
-    a file (``is_local``) so does what no file name of this system may hold.
+    An object may be called ``../x`` or ``a//b``, which file systems and many servers take for
+    another place.  Parts that are ``..``, ``.`` or empty are escaped as in a URL; for a file
+    (``is_local``) so are characters that file names on this system cannot contain.
     """
     parts = [_ODD.get(part, part) for part in relative.split("/")]
     if is_local:
@@ -109,7 +109,7 @@ def _escape_part(part: str) -> str:
         return part.replace("\0", "%00")
     if _DEVICES.match(part):
         part = _escape(part[0]) + part[1:]
-    # Windows drops dots and spaces at the end, so that two names would be one.
+    # Windows drops dots and spaces at the end, so that two names could become one.
     if part[-1:] in (".", " "):
         part = part[:-1] + _escape(part[-1])
     return "".join(_escape(c) if c in '\0\\:*?"<>|' or c < " " else c for c in part)
