@@ -18,7 +18,7 @@ def names() -> tuple[str, ...]:
 
 
 def find(name: str) -> Method:
-    """The method of that name; UsageError with the closest names if there is none."""
+    """The method of that name; UsageError, with the closest names as a hint, if there is none."""
     if name not in names():
         import difflib
 

@@ -1,15 +1,15 @@
-"""The stages of a learned filter, and the weights of its networks.
+"""The stages of the learned filter, and the weights of its networks.
 
-The weights are two files of ``methods/weights``: ``learned.json``, which describes the other, and
-``learned.f32``, little-endian numbers of 32 bits.  For each stage there are three layers, and for
-each layer its biases (out,), then its matrix (out, in), row by row.
+The weights are two files of ``methods/weights``: ``learned.json``, which describes the layers, and
+``learned.f32``, little-endian 32-bit floats.  Each stage has three layers, and each layer its
+biases (out,), then its matrix (out, in), row by row.
 
-Cheap filters that are good somewhere give a normal of every face each, as evidence: ``wiener``,
-where relief is; its sweeps alone, which smooth most; two windowed sincs, whose pass bands of 0.1
-and 0.03 reach farther than the neighbours that a face is described by.  Beside these normals each
-face gets numbers of its surroundings, a dozen edges wide: the power of the ripples of the scan over
-that of white noise of the level, which part of what the sweeps took is shape, and how strong that
-is.
+As evidence, fast filters, each of which is good on some surfaces, give a normal for each face:
+``wiener``, for relief; its sweeps alone, which smooth most; and two windowed sincs with pass bands
+of 0.1 and 0.03, which reach farther than the neighbours that a face is described by.  In addition
+each face gets features of its surroundings, a dozen edges wide: the power of the ripples of the
+scan over that of white noise of the same level, the share of shape in what the sweeps removed, and
+the power of that shape.
 """
 
 import functools
@@ -45,33 +45,33 @@ from msal_cli.methods._sliding import measure_second_umbrella
 from msal_cli.methods._sweeps import anisotropic_laplacian, free_vertices, ring_of
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""The folder of the trained weights."""
 
 FORMAT = 1
 
 MIN_WHITE, MAX_WHITE = 0.65, 2.0
-"""Bounds of the lower quartile and of the mean of the powers of the finest ripples, over that of
-white noise: where neighbours share the noise it has less, and where it is stronger than it is said
-to be, more; then nothing tells it from shape."""
+"""Smallest lower quartile and largest mean of the power of the finest ripples, over that of white
+noise of the given level.  Correlated noise has less, and noise stronger than its given level more;
+neither can be told from shape."""
 
 UNEVEN = 0.8
-"""Part of the power of the finest ripples around a vertex that is taken for that of the noise."""
+"""Share of the power of the finest ripples around a vertex that counts as noise."""
 
 CAUTION = 1.0
 """See ``restoration``."""
 
 DOUBT = 0.01
-"""Power, over the noise's, of which a half is restored; noise alone gives hardly any."""
+"""Power over that of the noise of which half is restored; noise alone leaves hardly any."""
 
 
 class Cascade:
-    """The stages of one mesh: descriptors of where it is, and vertices that fit new normals.
+    """The stages for one mesh: descriptors at the current positions, and vertices fitted to new
+    normals.
 
     Parameters
     ----------
-    noise : of the mesh, mean edge lengths; None where it is not known.
+    noise : level of noise, mean edge lengths; None if unknown.
     is_white : whether it is white noise along the normals.
-    is_uneven : whether parts of the mesh have hardly any of it.
+    is_uneven : whether parts of the mesh have hardly any noise.
     """
 
     def __init__(
@@ -92,11 +92,11 @@ class Cascade:
         self._describer: NormalDescriber | None = None
 
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
-        """The descriptors of all faces with the vertices at ``positions`` (n, 3), at first those of
-        the scan.
+        """The descriptors of all faces with the vertices at ``positions`` (n, 3), in the first call
+        those of the scan.
 
         ``earlier`` are the normals (m, 3) of the stage before; None for the first one.  The next
-        call overwrites what this one gives.
+        call overwrites the result.
         """
         mesh = self.mesh
         if self._describer is None:
@@ -111,21 +111,23 @@ class Cascade:
         return self._describer.describe(positions, ripples, earlier)
 
     def release(self) -> None:
-        """Give the memory of the descriptors back; the next ones take it again."""
+        """Free the memory of the descriptors; the next call of ``describe`` allocates it again."""
         self._describer = None
 
     def fit(self, positions: Floats, normals: Floats, passes: int) -> Floats:
-        """Positions (n, 3) that fit the normals (m, 3) better, after ``passes`` passes."""
+        """Positions (n, 3) fitted to the normals (m, 3) in a number of passes."""
         mesh = self.mesh
         return update_vertices(positions, normals, mesh.faces, mesh.topology, self.free, passes)
 
 
 def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
-    """Positions (n, 3) with what a filter took from ``mesh`` beyond white noise restored.
+    """Positions (n, 3) with shape restored that a filter removed from ``mesh`` with the white
+    noise.
 
-    What it took along its outcome's normals is ``restoration``'s residual.  ``noise``, in mean edge
-    lengths, counts as greater where the finest ripples of the residual are, compared with those of
-    the whole mesh: there the noise is uneven.  Fine texture everywhere is not.
+    The residual of ``restoration`` is the normal displacement by the filter.  ``noise``, in mean
+    edge lengths, is increased where the finest ripples of the residual are stronger than the mean:
+    there the noise is uneven.  Fine texture all over the mesh does not increase it.  Nothing is
+    restored if the power of the ripples is beyond ``MIN_WHITE`` or ``MAX_WHITE``.
     """
     links = mesh.topology
     count = np.diff(links.ring_start)
@@ -146,12 +148,12 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
 
 @functools.cache
 def load_networks() -> tuple[Network, ...]:
-    """The trained networks, one for each stage; InternalError where the files are damaged."""
+    """The trained networks, one for each stage; InternalError if the files are damaged."""
     return read_networks(WEIGHTS / "learned.json")
 
 
 def read_networks(header_path: Path) -> tuple[Network, ...]:
-    """The networks of a header, a JSON file, and of the ``.f32`` file beside it."""
+    """Read the networks of a header, a JSON file, and the ``.f32`` file beside it."""
     try:
         header = json.loads(header_path.read_text(encoding="utf-8"))
         data = header_path.with_suffix(".f32").read_bytes()
@@ -178,7 +180,8 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
 
 
 def _check_sizes(stages: list[list[int]], count: int) -> None:
-    """Refuse layers that do not fit the descriptors: the kernels do not check the sizes."""
+    """Raise InternalError for layers of other sizes than the descriptors, which the kernels do not
+    check."""
     expected = 0
     for stage, sizes in enumerate(stages):
         vectors = count_vectors(stage)
@@ -205,13 +208,13 @@ SINCS = ((20, 0.1), (30, 0.03))
 """Iterations and pass bands of the windowed sincs."""
 
 MIN_LEVEL = 1e-3
-"""Least level of the noise, mean edge lengths, that powers are compared with."""
+"""Smallest level of noise, mean edge lengths, that powers are compared with."""
 
 WHITE_POWERS = (1.17, 1.85, 3.2)
 """Mean squares of ``measure_ripples`` for white noise of level 1 on the lattice of valence 6."""
 
 AROUND, NEAR = 6, 2
-"""Passes by which powers, and by which shares, are averaged around a vertex."""
+"""Averages over one-rings of powers, and of shares."""
 
 
 def gather_evidence(
@@ -223,26 +226,26 @@ def gather_evidence(
     parameters = RestorationParameters()
     laplacian = anisotropic_laplacian(mesh, parameters)
     restored = restore(mesh, laplacian, parameters, unit, lambda done, total: None)
-    outcomes = [fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
+    results = [fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
     rings = ring_of(mesh, "curve")
     terms = [sinc_coefficients(pass_band, iterations) for iterations, pass_band in SINCS]
-    outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
-    normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
-    for place, outcome in enumerate(outcomes):
-        normals[:, 3 * place : 3 * place + 3] = face_normals(outcome, mesh.faces)
+    results += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
+    normals = np.empty((len(mesh.faces), 3 * len(results)), dtype=np.float32)
+    for k, result in enumerate(results):
+        normals[:, 3 * k : 3 * k + 3] = face_normals(result, mesh.faces)
     statistics = _measure_surroundings(mesh, ripples, restored, unit)
     return Evidence(noise, is_white, is_uneven, normals, statistics)
 
 
 def _guess_level(mesh: Mesh) -> float:
-    """The level that the umbrella of the umbrella speaks for, mean edge lengths."""
+    """The level of white noise by the umbrella operator applied twice, mean edge lengths."""
     heights, _ = measure_second_umbrella(mesh)
     return heights / (float(np.sqrt(WHITE_POWERS[1])) * (mesh.mean_edge_length or 1.0))
 
 
 def _measure_surroundings(mesh: Mesh, ripples: Floats, restored: Restored, unit: float) -> Floats32:
-    """Numbers from 0 to 1 of the surroundings of each face, (m, STATISTICS); ``unit`` is the noise
-    in file units."""
+    """Features from 0 to 1 of the surroundings of each face (m, STATISTICS); ``unit`` is the level
+    of noise, file units."""
     rows = mesh.topology.one_ring
     powers = np.column_stack([ripples[:, :3], restored.returned])
     powers = average_around(powers * powers, *rows, AROUND)

@@ -1,11 +1,11 @@
-"""What a method is: parameters that describe themselves, and a pure function.
+"""The contract of a method: parameters that describe themselves, and a pure function.
 
 A module of this folder whose name does not start with an underscore is a method.  It has
 
-- a docstring whose first line is the summary and which holds a ``Source:`` line,
-- a frozen dataclass ``Parameters`` whose fields are made by ``_fields``,
-- a function ``denoise(mesh, parameters, on_sweep) -> Result``,
-- ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
+- a docstring whose first line is the summary and which has a ``Source:`` line, - a frozen dataclass
+``Parameters`` whose fields are made by ``_fields``, - a function ``denoise(mesh, parameters,
+on_sweep) -> Result``, - ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see
+``Method.bytes_per_face``).
 
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
 """
@@ -27,15 +27,15 @@ from msal_cli.light_dataclass import dataclass, field
 from msal_cli.mesh import Mesh
 
 OnSweep = Callable[[int, int], None]
-"""Called as ``on_sweep(done, iterations)`` after every sweep."""
+"""Called as ``on_sweep(done, iterations)`` after each sweep."""
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
     """What a method returns."""
 
-    vertices: Floats  # (n, 3) new positions; the mesh that was given is not changed
-    # per-vertex arrays (n,) worth looking at, such as ``fidelity``
+    vertices: Floats  # (n, 3) new positions; the mesh itself is not changed
+    # per-vertex arrays (n,) for display, such as ``fidelity``
     fields: dict[str, Floats] = field(default_factory=dict)
     # wall-clock seconds by stage, ``normals`` and ``sweeps``
     seconds: dict[str, float] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Timer:
         self._sweeps = time.perf_counter()
 
     def finish(self, vertices: Floats, fields: dict[str, Floats] | None = None) -> Result:
-        """The result of the run, which ends now."""
+        """End the stage ``sweeps`` and make the result."""
         seconds = {
             "normals": self._sweeps - self._started,
             "sweeps": time.perf_counter() - self._sweeps,
@@ -64,7 +64,7 @@ class Timer:
 class ParameterSpec:
     """One parameter as users see it."""
 
-    # name, symbol: the word for ``--set`` and the paper's letter, which ``--set`` takes as well
+    # name, symbol: the name for ``--set``, and the paper's symbol, which ``--set`` accepts too
     name: str
     symbol: str
     kind: type  # ``int``, ``float`` or ``str``
@@ -73,15 +73,15 @@ class ParameterSpec:
     high: float
     low_open: bool
     high_open: bool
-    # the words allowed, for ``str``; none if any text is, which ``Parameters`` checks
+    # the words allowed, for ``str``; empty if ``Parameters`` checks the text itself
     choices: tuple[str, ...]
     unit: str  # of the value; empty for a pure number
     help: str  # what it is
-    more: str  # what a greater value does
+    more: str  # the effect of a greater value
 
     @property
     def range_text(self) -> str:
-        """The range for people: ``0 < K <= 1``, ``0, 1, 2, ...`` or the words allowed."""
+        """The range as text: ``0 < K <= 1``, ``0, 1, 2, ...`` or the words allowed."""
         if self.choices:
             return " | ".join(self.choices)
         if self.kind is str:
@@ -91,7 +91,7 @@ class ParameterSpec:
         return f"{low}{self.name}{high}" + (" (whole number)" if self.kind is int else "")
 
     def validate(self, given: object) -> Any:
-        """``given``, text or value, as a valid value; UsageError says what is allowed."""
+        """Convert ``given``, text or value, to a valid value; UsageError says what is allowed."""
         value: Any = given
         if self.kind is str:
             if (self.choices and value not in self.choices) or not isinstance(value, str):
@@ -116,12 +116,12 @@ class ParameterSpec:
 
 
 @functools.cache
-def _specs(made: type[Any]) -> tuple[ParameterSpec, ...]:
-    """The fields of a ``Parameters``; --auto reads those of a method a hundred times."""
-    kinds = typing.get_type_hints(made)
+def _specs(parameters_type: type[Any]) -> tuple[ParameterSpec, ...]:
+    """The specifications of a ``Parameters`` class; cached, because --auto needs them often."""
+    kinds = typing.get_type_hints(parameters_type)
     return tuple(
-        ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
-        for one in dataclasses.fields(made)
+        ParameterSpec(spec.name, kind=kinds[spec.name], default=spec.default, **spec.metadata)
+        for spec in dataclasses.fields(parameters_type)
     )
 
 
@@ -150,15 +150,15 @@ class Method:
 
     @property
     def bytes_per_face(self) -> int:
-        """Bytes of memory per triangle that it needs at its peak beyond what every method needs.
+        """Peak memory in bytes per triangle beyond what each method needs.
 
-        Measured by benchmarks/peak_memory.py at the default parameters; 0 for methods that stay
-        within what reading and measuring a mesh takes.
+        Measured by benchmarks/peak_memory.py at the default parameters; 0 if reading and measuring
+        a mesh takes as much.
         """
         return int(getattr(self.module, "BYTES_PER_FACE", 0))
 
     def bytes_per_face_of(self, given: Mapping[str, Any]) -> int:
-        """The same for parameters of which ``given`` are set: theirs, and that of a schedule."""
+        """As ``bytes_per_face``, for the parameters ``given`` and their schedule."""
         parameters = self.module.Parameters(**given)
         own = getattr(parameters, "bytes_per_face", self.bytes_per_face)
         return int(own) + int(getattr(parameters, "schedule_bytes_per_face", 0))
@@ -185,10 +185,10 @@ class Method:
         return specs[word]
 
     def validate(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Every parameter, those in ``given`` (by name or symbol) checked and in their place.
+        """All parameters: those in ``given`` (by name or symbol), validated, and defaults.
 
-        Raises UsageError for an unknown name, a value out of range, or values that do not go
-        together, for which ``Parameters`` may look when it is made.
+        Raises UsageError for an unknown name, a value out of range, or values that contradict each
+        other, which ``Parameters`` checks when it is made.
         """
         values = {spec.name: spec.default for spec in self.parameters}
         for word, value in given.items():
@@ -198,7 +198,7 @@ class Method:
         return values
 
     def has_data_term(self, parameters: Mapping[str, Any]) -> bool:
-        """Whether complete ``parameters`` pull vertices back to where they were scanned by the
+        """Whether complete ``parameters`` pull vertices back to their scanned positions by the
         lambda of equation (2), which a mesh's trust scales."""
         return bool(getattr(self.module.Parameters(**parameters), "has_data_term", False))
 
@@ -207,7 +207,8 @@ class Method:
         return float(getattr(self.module.Parameters(**parameters), "most_noise_edges", math.inf))
 
     def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:
-        """Whether lambda is scaled by the largest sigma (eq. 7), so that one spike can rule it."""
+        """Whether lambda is scaled by the largest sigma (eq. 7), which a single spike may
+        determine."""
         return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
 
     def denoise(

@@ -18,7 +18,7 @@ def parameter(
     unit: str = "",
     more: str = "",
 ) -> Any:
-    """A dataclass field that carries what users need to know; see ``ParameterSpec``.
+    """A dataclass field with the metadata of ``ParameterSpec``.
 
     ``above`` and ``below`` are open ends of the range.
     """
@@ -39,12 +39,10 @@ def parameter(
 
 
 def passes(default: int, help: str, more: str, *, symbol: str = "", high: int = 1000) -> Any:
-    """A parameter that is a number of passes, from 0 on."""
     return parameter(default, help, symbol=symbol, low=0, high=high, more=more)
 
 
 def iterations(default: int, help: str, more: str = "smoother") -> Any:
-    """The parameter ``iterations``."""
     return passes(default, help, more, symbol="n")
 
 
@@ -53,7 +51,6 @@ def vertex_passes(
     help: str = "passes that fit the vertices to the filtered normals",
     more: str = "faces closer to their normals, vertices farther from the scan",
 ) -> Any:
-    """The parameter ``vertex_iterations``."""
     return passes(default, help, more)
 
 
@@ -62,7 +59,6 @@ def mollify(
     help: str = "passes that average the normals over the one-ring before the first sweep",
     more: str = "smoother normals: flatter flats under heavy noise, softer edges",
 ) -> Any:
-    """The parameter ``mollify``."""
     return passes(default, help, more, high=100)
 
 
@@ -89,8 +85,8 @@ def step(
 
 
 def boundary(default: str, free: str = "fitted like the others to the faces that they have") -> Any:
-    """The parameter ``boundary``, free or fixed; ``free`` is what the first of these means."""
-    # The default comes first.
+    """The parameter ``boundary``, free or fixed; the argument ``free`` describes the former."""
+    # The default is the first choice.
     order = 1 if default == "free" else -1
     meanings = ", or ".join((free, "fixed")[::order])
     return parameter(
@@ -142,7 +138,7 @@ def noise(of: str = "wiener schedule: ") -> Any:
 
 
 def caution(default: float = 1.0, of: str = "wiener schedule: ") -> Any:
-    """The other parameter of the Wiener schedule."""
+    """A parameter of the Wiener schedule."""
     return parameter(
         default,
         of + "factor of the assumed power of the noise",

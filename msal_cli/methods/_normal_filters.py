@@ -1,4 +1,4 @@
-"""What filters of face normals share: parameters, the two stages, and their progress."""
+"""The common part of filters of face normals: parameters, the two stages, and their progress."""
 
 from collections.abc import Callable
 from functools import partial
@@ -35,9 +35,9 @@ class NormalFilterParameters:
 
 @dataclass()
 class Passes:
-    """Progress of a run: its passes of either kind are equal shares of ``iterations``.
+    """Progress of a run: passes over normals and vertices are equal shares of ``iterations``.
 
-    What ``on_sweep`` raises ends the run.
+    An exception that ``on_sweep`` raises ends the run.
     """
 
     on_sweep: OnSweep
@@ -46,12 +46,11 @@ class Passes:
     done: int = field(default=0, init=False)
 
     def count_pass(self) -> None:
-        """Count a finished pass."""
         self.done += 1
         self.on_step()
 
     def on_step(self) -> None:
-        """Report progress within a pass, so that the caller may end the run."""
+        """Report progress within a pass, where the caller may raise an exception to end the run."""
         self.on_sweep(self.iterations * self.done // self.passes, self.iterations)
 
 
@@ -62,7 +61,8 @@ def run(
     on_sweep: OnSweep,
     normal_passes: int | None = None,
 ) -> Result:
-    """The two stages: ``filtered_normals`` gives the normals (m, 3) that the vertices then fit.
+    """Run both stages: ``filtered_normals`` returns normals (m, 3), to which the vertices are
+    fitted.
 
     It counts each of its ``normal_passes``, ``iterations`` by default, on its argument.
     """
@@ -94,10 +94,10 @@ def run_rounds(
     on_sweep: OnSweep,
     timer: Timer,
 ) -> Result:
-    """``iterations`` rounds: normals (m, 3) from positions (n, 3), and vertices fitted to them.
+    """Run ``iterations`` rounds: normals (m, 3) from positions (n, 3), and vertices fitted to them.
 
-    ``filtered_normals`` may report progress by its second argument, so that the caller may end the
-    run within a round.
+    The second argument of ``filtered_normals`` reports progress, where the caller may raise an
+    exception to end the run.
     """
     free = free_vertices(mesh, parameters.boundary)
     timer.start_sweeps()

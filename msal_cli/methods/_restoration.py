@@ -1,7 +1,5 @@
-"""A scan without white noise: sweeps of AL, what they took beyond noise restored, normals fitted.
-
-It is what ``wiener`` does, and what the learned filter looks at.
-"""
+"""Removal of white noise by sweeps of AL, restoration of what they removed beyond noise, and a fit
+to filtered normals.  ``wiener`` and the learned filter use it."""
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from msal_cli.methods._sweeps import NormalParameters, free_vertices
 
 @dataclass(frozen=True)
 class RestorationParameters(NormalParameters):
-    """Parameters of the Wiener-filtered residual and of the normals that follow it."""
+    """Parameters of the Wiener-filtered residual and of the filter of normals after it."""
 
     iterations: int = fields.iterations(
         6,
@@ -63,13 +61,13 @@ class RestorationParameters(NormalParameters):
 
 @dataclass(frozen=True, eq=False)
 class Restored:
-    """A scan without its noise, before its normals are filtered."""
+    """The result of the sweeps and the restoration, before normals are filtered."""
 
-    # smooth, positions: (n, 3) after the sweeps, and with what they took beyond noise restored
+    # smooth, positions: (n, 3) after the sweeps, and after the restoration
     smooth: Floats
     positions: Floats
-    returned: Floats  # (n,) what was restored along the normals, file units
-    share: Floats  # (n,) which part of what was taken that is
+    returned: Floats  # (n,) restored displacement along the normals, file units
+    share: Floats  # (n,) the same as a share of the removed displacement
 
 
 def restore(
@@ -79,7 +77,7 @@ def restore(
     noise: float,
     on_sweep: OnSweep,
 ) -> Restored:
-    """The sweeps of ``mesh``, and what comes back for ``noise`` in file units."""
+    """Sweeps of ``mesh``, and the restoration for a level of ``noise`` in file units."""
     iterations = parameters.iterations
     smooth = run_sweeps(mesh.vertices, laplacian, Schedule(), iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
@@ -91,11 +89,10 @@ def restore(
 def fit_to_normals(
     mesh: Mesh, parameters: RestorationParameters, guide: Floats, noise: float
 ) -> Floats:
-    """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
-    group them; ``noise`` in file units.
-    """
+    """Positions ``guide`` (n, 3) fitted to the normals of the scan after a joint bilateral filter
+    by the normals of the guide; ``noise`` is in file units.  Returns (n, 3)."""
     faces = mesh.faces
-    like, areas = face_normals_and_areas(guide, faces)
+    guide_normals, areas = face_normals_and_areas(guide, faces)
     centroids = face_centroids(guide, faces)
     across_edges = face_rings(faces, mesh.topology, "edge")
     unit = mean_edge_length(centroids, *across_edges)
@@ -103,13 +100,13 @@ def fit_to_normals(
     rows = ring_start.astype(np.int64), ring
     normals = face_normals(mesh.vertices, faces)
     normals *= parameters.scan_share
-    normals += (1.0 - parameters.scan_share) * like
+    normals += (1.0 - parameters.scan_share) * guide_normals
     lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
     normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     for _ in range(parameters.normal_iterations):
         normals = joint_bilateral(
             normals,
-            like,
+            guide_normals,
             centroids,
             areas,
             *rows,

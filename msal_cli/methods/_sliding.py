@@ -1,4 +1,4 @@
-"""Motion within the surface: that of a filter undone, and triangles evened out."""
+"""Tangential displacements: those of a filter are undone, and triangles are relaxed."""
 
 import numpy as np
 
@@ -12,27 +12,28 @@ from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._sweeps import free_vertices
 
 FINAL_PASSES = 3
-"""Passes that fit the vertices once more after their sliding is undone."""
+"""Passes that fit the vertices again after their sliding is undone."""
 
 SIDEWAYS = 0.55
-"""Part of the noise along the normals up to which that within the surface is called none.
+"""Largest ratio of tangential to normal noise at which noise counts as along the normals.
 
-Over the machined and the organic meshes of benchmarks/ground_truth.py it is measured as 0.07 to
-0.48 with noise along the normals, as 0.58 to 0.82 where noise of the same strength is in one more
-direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans that are
-unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
+On the machined and the organic meshes of benchmarks/ground_truth.py it is measured as 0.07 to 0.48
+for noise along the normals, as 0.58 to 0.82 if noise of the same strength has one more direction,
+and as 0.86 to 1.06 for isotropic noise.  Unevenly sampled scans (the dragon: 0.75 and more) look
+like the latter, and nothing is undone.
+"""
 
 
 def undo_sliding(
     mesh: Mesh, positions: Floats, sliding: str, boundary: str | None = None
 ) -> Floats:
-    """The outcome (n, 3) of a filter, with its sliding kept or undone.
+    """The result (n, 3) of a filter, with its sliding kept or undone.
 
-    Averages of neighbours and fits to normals also move vertices within the surface, a tenth of an
-    edge and more under strong noise.  Where the noise was along the normals that is away from the
-    truth.  To undo it, each vertex goes back sideways until it is on the line through its scanned
-    position along the outcome's normal; after a fit to normals, which has a ``boundary``, a few
-    passes fit it to the outcome's faces once more.
+    Averages of neighbours and fits to normals also displace vertices tangentially (sliding), by a
+    tenth of an edge and more under strong noise.  If the noise was along the normals this is an
+    error.  To undo it, each vertex is moved tangentially to the line through its scanned position
+    along the normal of the result.  After a fit to normals, which has a ``boundary``, a few passes
+    then fit the vertices to the faces of the result again.
     """
     if sliding == "kept" or (sliding == "auto" and sideways_share(mesh) > SIDEWAYS):
         return positions
@@ -54,14 +55,15 @@ def undo_sliding(
 
 
 FACING = (0.3, 0.5)
-"""Cosines to a line between which vertices are moved to it, by a rising share: what hardly faces it
-would go far for little, and a neighbour that does must not be left behind at once.  From 0.2 on
-angles are up to 10 % greater on 33 simulated scans, from 0.5 on they are not."""
+"""Absolute cosines of normals to the line at which vertices begin to move to it, and from which
+they do so fully.  Vertices of steep faces would move far for little, and a sharp limit would
+separate neighbours.  With a lower end of 0.2 angles are up to 10 % greater on 33 simulated scans,
+with 0.5 they are not."""
 
 
 def move_to_lines(mesh: Mesh, positions: Floats, line: Floats) -> Floats:
-    """The outcome (n, 3) of a filter with each vertex on the line through its scanned position
-    along the unit vector ``line`` (3,): where its tangent plane cuts that.
+    """The result (n, 3) of a filter with each vertex moved within its tangent plane to the line
+    through its scanned position along the unit vector ``line`` (3,).
 
     Noise along the view of a scanner leaves vertices on such lines, and filters move them along
     normals, or anywhere.
@@ -71,28 +73,27 @@ def move_to_lines(mesh: Mesh, positions: Floats, line: Floats) -> Floats:
     heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     low, high = FACING
     shares = np.clip((np.abs(cosines) - low) / (high - low), 0.0, 1.0)
-    ways = heights / np.where(shares > 0.0, cosines, 1.0)
-    on_lines = mesh.vertices + ways[:, None] * line
+    distances = heights / np.where(shares > 0.0, cosines, 1.0)
+    on_lines = mesh.vertices + distances[:, None] * line
     moved: Floats = positions + shares[:, None] * (on_lines - positions)
     return moved
 
 
 def sideways_share(mesh: Mesh) -> float:
-    """Noise within the surface over that along the normals, per direction; inf without the latter.
+    """Tangential noise over normal noise, per direction; infinite without the latter.
 
-    Uneven sampling counts as noise within the surface.
+    Uneven sampling counts as tangential noise.
     """
-    heights, ways = measure_second_umbrella(mesh)
-    return ways / heights if heights > 0.0 else np.inf
+    heights, across = measure_second_umbrella(mesh)
+    return across / heights if heights > 0.0 else np.inf
 
 
 @cached_by_mesh
 def measure_second_umbrella(mesh: Mesh) -> tuple[float, float]:
-    """Standard deviations of what is left of the positions when the umbrella is applied twice,
-    along the normals and in each direction within the surface, file units.
+    """Standard deviations of the umbrella operator applied twice to the positions, along the
+    normals and in each tangential direction, file units; cached by mesh.
 
-    Medians over the vertices within the surface decide; without any of these both are 0.  They are
-    computed once for a mesh.
+    They are estimated by medians over the interior vertices; both are 0 if there are none.
     """
     links = mesh.topology
     second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
@@ -108,18 +109,18 @@ def measure_second_umbrella(mesh: Mesh) -> tuple[float, float]:
 
 
 EVEN_STEP = 0.5
-"""Share of the way to the mean of the neighbours, within the surface."""
+"""Share of the tangential distance to the mean of the neighbours that one pass moves a vertex."""
 
 EVEN_MOLLIFY = 3
-"""Passes that average the normals of the tangent planes."""
+"""Passes that average the vertex normals, which define the tangent planes."""
 
 
 def even_out(mesh: Mesh, passes: int) -> Mesh:
-    """The mesh with each vertex ``passes`` times half of the way to the mean of its one-ring,
-    within the tangent plane of its averaged normal.
+    """The mesh with relaxed triangles: each vertex moves ``passes`` times half of the way to the
+    mean of its one-ring, within the tangent plane of its averaged normal.
 
-    Noise in all directions makes jagged triangles, across which normals err whatever the heights
-    are.  Heights along the normal stay as they are, and so do vertices at open edges.
+    Isotropic noise makes triangles jagged, and their normals have errors whatever the heights are.
+    Heights along the normals do not change, and boundary vertices do not move.
     """
     return _even_out(mesh, passes) if passes else mesh
 

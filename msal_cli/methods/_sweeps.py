@@ -1,4 +1,4 @@
-"""What the methods of equation (2) share: parameters, operators, the schedule, and the run."""
+"""The common part of the methods of equation (2): parameters, operators, schedules, and the run."""
 
 import math
 from collections.abc import Callable
@@ -19,7 +19,8 @@ from msal_cli.methods._contract import OnSweep, Result, Timer
 
 @dataclass(frozen=True)
 class NormalParameters:
-    """Iterations, and the vertex normals that heights, and sigma of eq. (4), are measured along."""
+    """Iterations, and the vertex normals along which heights, and sigma of eq. (4), are
+    measured."""
 
     iterations: int = fields.iterations(
         4,
@@ -38,15 +39,16 @@ class NormalParameters:
 
 
 WIENER_BYTES_PER_FACE = 60
-"""Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face_of``."""
+"""Additional memory of the Wiener schedule; see ``Method.bytes_per_face_of``."""
 
 MAX_NOISE_MULTISCALE = 0.15
-"""Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
-passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
+"""Level of noise, mean edge lengths, above which the multiscale schedules leave much of it.  At 0.2
+ten iterations of Taubin's filter have smaller angles on most models of
+benchmarks/ground_truth.py."""
 
 
 class ScheduleTraits(NormalParameters):
-    """What the parameter ``schedule`` of a method and those that belong to it mean."""
+    """The meaning of a method's parameter ``schedule`` and of those that belong to it."""
 
     schedule: str
     K: float
@@ -55,7 +57,7 @@ class ScheduleTraits(NormalParameters):
     caution: float
     time_step = 1.0
     fidelity = 0.0
-    has_own_step = False  # True where the operator takes ``time_step``, and a schedule is a share
+    has_own_step = False  # True if the operator uses ``time_step``, and schedules are shares of it
 
     def __post_init__(self) -> None:
         if self.K != type(self).K and self.schedule not in ("multiscale", "robust"):
@@ -65,7 +67,6 @@ class ScheduleTraits(NormalParameters):
             )
 
     def build_schedule(self) -> Schedule:
-        """The schedule that these parameters describe."""
         step = 1.0 if self.has_own_step else self.time_step
         if self.schedule == "constant":
             return Schedule(step, self.fidelity)
@@ -78,7 +79,7 @@ class ScheduleTraits(NormalParameters):
 
     @property
     def has_data_term(self) -> bool:
-        """Whether vertices are pulled back to where they were scanned."""
+        """Whether vertices are pulled back to their scanned positions."""
         return self.schedule != "plain"
 
     @property
@@ -158,16 +159,16 @@ class ScheduledRingParameters(ScaleParameters):
 
 
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
-    """Which vertices (n,) may move, for the parameter ``boundary``; fixed vertices may not."""
+    """Whether each vertex (n,) may move by the parameter ``boundary`` and is not fixed."""
     edge = mesh.topology.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
     return free if mesh.fixed_vertices is None else free & ~mesh.fixed_vertices
 
 
 def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
-    """Rows to average over, (n + 1,) and (...,), for the parameter ``boundary``.
+    """The rings to average over in CSR form, (n + 1,) and (...,), for the parameter ``boundary``.
 
-    The rows of fixed vertices are empty: a vertex without neighbours does not move.
+    Those of fixed vertices are empty: a vertex without neighbours does not move.
     """
     starts, ring = averaging_ring(mesh.faces, mesh.topology, boundary)
     if mesh.fixed_vertices is None:
@@ -180,7 +181,7 @@ def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
 
 
 def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> RingOperator:
-    """The operator of eq. (5) along the mesh's own normals."""
+    """The operator of eq. (5) along the normals of the input."""
     return RingOperator(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
         mesh.topology.ring_start,
@@ -193,13 +194,12 @@ def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> RingOpera
 def run(
     mesh: Mesh, parameters: ScheduleTraits, operator: Callable[[], Operator], on_sweep: OnSweep
 ) -> Result:
-    """Sweeps of the operator that ``operator()`` makes, under the schedule of ``parameters``.
+    """Run sweeps of the operator that ``operator()`` makes, under the schedule of ``parameters``.
 
-    Making it counts as the stage ``normals``.  For a schedule that needs sigma over an operator
-    that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  lambda is
-    scaled by the mesh's trust, where it has such.  The
-    result's field ``fidelity`` is lambda of the first sweep, of the Wiener schedule that at the
-    end.
+    Making it counts as the stage ``normals``.  If the schedule needs sigma and the operator does
+    not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  lambda is scaled by
+    the mesh's trust.  The result's field ``fidelity`` is lambda of the first sweep, for the Wiener
+    schedule that at the end.
     """
     timer = Timer()
     schedule = parameters.build_schedule()
@@ -222,8 +222,8 @@ def run(
 
 
 def resolve_noise_level(mesh: Mesh, noise: float) -> float:
-    """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate,
-    which is taken for noise where it is unsure."""
+    """The level of noise in file units by the parameter ``noise`` in mean edge lengths; if it is 0
+    by the estimate, which counts as noise if it is unsure."""
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     if noise:
@@ -234,10 +234,8 @@ def resolve_noise_level(mesh: Mesh, noise: float) -> float:
 def _restore(
     mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener
 ) -> SweepResult:
-    """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
-
-    What comes back comes along the mesh's normals.
-    """
+    """The result ``smooth`` (n, 3) of the sweeps with displacements along the mesh's normals
+    restored as far as they exceed the noise."""
     from msal_cli.kernels.restoration import restoration
 
     noise = resolve_noise_level(mesh, schedule.noise or 0.0)

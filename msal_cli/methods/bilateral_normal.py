@@ -14,7 +14,8 @@ own left out, in ``iterations`` passes; areas, distances and sigma_c are those o
 
 and normalises them: one linear system, solved by conjugate gradients, to 2e-5 on the mean;
 ``iterations`` does not matter, unless it is 0.  Then the vertices are fitted to these normals, in
-passes that each add the mean of a vertex's ways to the planes of its faces through their centroids:
+passes that each add the mean of a vertex's offsets to the planes of its faces through their
+centroids:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
@@ -47,10 +48,11 @@ from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
 
 TOLERANCE = 1e-4
-"""Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""
+"""Residual of the global solution over lambda, with which the mean error of normals is 2e-5."""
 
 MAX_ITERATIONS = 5000
-"""Of the conjugate gradients: 100 at the default lambda, 1000 at the least that is allowed."""
+"""Largest number of conjugate gradient iterations; 100 are needed at the default lambda, 1000 at
+the smallest one allowed."""
 
 BYTES_PER_FACE = 265
 

@@ -2,8 +2,8 @@
 
     x_i <- v_i + sum over the members k of w_k (f_k(v)_i - v_i),   w_k >= 0, sum of w_k <= 1
 
-What is missing to 1 is the weight of the input.  Where the errors of filters have different
-directions, their mean has a smaller error than the best of them; ``--auto`` finds good weights.
+The rest to 1 is the weight of the input.  Where the errors of filters have different directions,
+their mean has a smaller error than the best of them; ``--auto`` finds good weights.
 
 ``members`` is a sum such as
 
@@ -17,10 +17,11 @@ Where the noise is not the same everywhere, weights may follow it: with ``levels
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
 on, and in between in proportion.
 
-``share`` is how much of the way from the input to all that is gone: x_i <- v_i + share (x_i - v_i).
-``relax`` evens triangles out within the surface before the members run.  Noise in all directions
-makes them jagged, and two passes take most of that away.  ``line=0:0:1`` moves vertices of faces
-towards that to the lines through their scanned positions, where noise along the view leaves them.
+``share`` is the part of these displacements that is applied: x_i <- v_i + share (x_i - v_i).
+``relax`` passes even out triangles within the tangent planes before the members run.  Isotropic
+noise makes them jagged, and two passes remove most of that.  ``line=0:0:1`` moves vertices that
+face this direction to the lines along it through their scanned positions, where noise along the
+view leaves them.
 
 Source: F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale
 orthonormal wavelet thresholding, IEEE TIP 16 (2007), 593-606, for denoisers weighted so that an
@@ -48,17 +49,16 @@ BYTES_PER_FACE = 760
 """Memory with ``learned``, the member that needs most; see ``Method``."""
 
 KEPT_PER_FACE = 30
-"""Memory per triangle that goes on top of the largest member's: the sum so far, and what a run
-leaves scattered behind."""
+"""Memory per triangle beyond that of the largest member: the sum so far, and fragmentation."""
 
 MAX_MEMBERS = 16
-"""More members are an error."""
+"""Largest number of members."""
 
 STEPS = 100
 """Steps of progress that are reported for each member."""
 
 ROUNDING = 1e-9
-"""Excess over 1 that the sum of the weights may have."""
+"""Rounding error by which the sum of the weights may exceed 1."""
 
 _MEMBER = re.compile(
     r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"
@@ -77,8 +77,8 @@ class Member:
 
 
 def format_members(members: list[tuple[Sequence[float], str, dict[str, Any]]]) -> str:
-    """The text of ``members`` for weights, names and the parameters that are given; ``read`` gives
-    the very numbers back."""
+    """The text of ``members`` for weights, names and given parameters; ``parse_members`` reads
+    exactly the same numbers back."""
     parts = []
     for weights, name, given in members:
         inside = ",".join(f"{word}={value}" for word, value in given.items())
@@ -87,7 +87,7 @@ def format_members(members: list[tuple[Sequence[float], str, dict[str, Any]]]) -
 
 
 def _format_numbers(values: Sequence[float]) -> str:
-    # The shortest text of a number that is the number again.
+    # repr is the shortest text that is read back as the same number.
     return ":".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
@@ -97,13 +97,13 @@ def format_levels(levels: Sequence[float]) -> str:
 
 
 def parse_levels(text: str) -> tuple[float, ...]:
-    """The levels that a text names, rising; none for an empty one."""
+    """Parse ascending levels; an empty text has none."""
     try:
         levels = tuple(float(word) for word in text.split(":")) if text.strip() else ()
     except ValueError:
         levels = (-1.0,)
-    # A comparison with what is no number is false.
-    is_rising = all(one < other for one, other in itertools.pairwise(levels))
+    # Comparisons with NaN are false.
+    is_rising = all(low < high for low, high in itertools.pairwise(levels))
     if not is_rising or not all(0.0 <= level < math.inf for level in levels):
         raise UsageError(
             f"levels = {text} is not allowed", hint="rising levels of noise, for example 0.02:0.25"
@@ -117,7 +117,7 @@ def format_line(line: Sequence[float]) -> str:
 
 
 def parse_line(text: str) -> Floats | None:
-    """The unit vector (3,) that a text names; None for an empty one."""
+    """Parse a direction as a unit vector (3,); None for an empty text."""
     if not text.strip():
         return None
     try:
@@ -131,8 +131,8 @@ def parse_line(text: str) -> Floats | None:
 
 
 def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
-    """The members that a text names, with a weight for each of so many levels; UsageError says
-    what is wrong with it."""
+    """Parse members, with one weight for each of ``n_levels``, or a single one for 0; UsageError
+    says what is wrong."""
     from msal_cli import methods
 
     found: list[Member] = []
@@ -155,7 +155,7 @@ def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
             raise UsageError(f"there are more than {MAX_MEMBERS} members", hint=_EXAMPLE)
     if not found:
         raise UsageError("there are no members", hint=_EXAMPLE)
-    total = max(sum(column) for column in zip(*(one.weights for one in found), strict=True))
+    total = max(sum(column) for column in zip(*(member.weights for member in found), strict=True))
     if total > 1.0 + ROUNDING:
         raise UsageError(
             f"the weights of members add up to {total:g}",
@@ -232,21 +232,20 @@ class Parameters:
     )
 
     def __post_init__(self) -> None:
-        """Refuse members that mean nothing."""
         parse_members(self.members, len(parse_levels(self.levels)))
         parse_line(self.line)
 
     @property
     def has_data_term(self) -> bool:
-        """Whether every member pulls to the scanned positions; see ``Method``."""
+        """Whether all members have a data term; see ``Method``."""
         members = parse_members(self.members, len(parse_levels(self.levels)))
-        return all(one.method.has_data_term(one.parameters) for one in members)
+        return all(member.method.has_data_term(member.parameters) for member in members)
 
     @property
     def bytes_per_face(self) -> int:
         """Memory per triangle for these members; see ``Method``."""
         members = parse_members(self.members, len(parse_levels(self.levels)))
-        return KEPT_PER_FACE + max(one.method.bytes_per_face for one in members)
+        return KEPT_PER_FACE + max(member.method.bytes_per_face for member in members)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
@@ -274,7 +273,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             step *= np.interp(local, levels, member.weights)[:, None]
         move += step
         del step
-        # Each set of them takes as much as the vertices, and far less time than a filter.
+        # Normals take as much memory as the vertices, and are fast to compute again.
         mesh.release_normals()
     move += mesh.vertices
     if line is not None:

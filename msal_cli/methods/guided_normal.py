@@ -48,7 +48,7 @@ from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._normal_filters import run_rounds
 
 MAX_NEAR = 64
-"""Faces near one at most; ten are usual."""
+"""Largest number of faces near one; ten are usual."""
 
 BYTES_PER_FACE = 385
 
@@ -100,7 +100,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer = Timer()
     faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)
-    # Without neighbours there is no unit, and nothing that it would measure.
+    # Without neighbours the unit is 0, and any length will do.
     edge_length = mesh.mean_edge_length
     centroids = face_centroids(mesh.vertices, faces)
     radius = parameters.radius * mean_edge_length(centroids, *around.edges)

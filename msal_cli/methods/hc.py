@@ -1,7 +1,7 @@
 """HC algorithm: Laplacian smoothing whose shrinkage is pushed back by the neighbourhood.
 
-Each iteration moves every vertex to the mean of its one-ring, sees how far that lies from where the
-vertex was, averages this correction over the neighbourhood, and takes it back:
+Each iteration moves every vertex to the mean of its one-ring, measures the displacement from its
+scanned and previous positions, averages it over the neighbourhood, and subtracts that:
 
     p_i = (1 / m_i) sum(q_k)
     b_i = p_i - (alpha o_i + (1 - alpha) q_i)

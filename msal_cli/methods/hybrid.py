@@ -50,10 +50,10 @@ from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
 
 SMALLEST_SPREAD = 1e-6
-"""Spreads below count as this: face normals within a tenth of a degree of the vertex's."""
+"""Smaller spreads count as this: face normals within a tenth of a degree of the vertex normal."""
 
 PUSHED_BACK = 0.5
-"""Share of the neighbours' mean height that is taken off a flat vertex's own."""
+"""Share of the neighbours' mean height that is subtracted from the height of a flat vertex."""
 
 BYTES_PER_FACE = 95
 
@@ -111,7 +111,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer.start_sweeps()
     start, plain = mesh.vertices, Schedule()
     x = run_sweeps(start, laplacian, plain, first, lambda done, _: on_sweep(done, total)).vertices
-    # Nothing new is done, but a long run must stay interruptible.
+    # Reports no progress, but the caller may raise an exception to end the run.
     sharp = run_sweeps(
         start,
         laplacian,
@@ -129,7 +129,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
 
 
 def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
-    """Number of each vertex's cluster (n,), and which vertices (n,) are on edges and corners."""
+    """The cluster number of each vertex (n,), and whether it is on an edge or corner (n,)."""
     links = mesh.topology
     normals = vertex_normals(positions, mesh.faces, parameters.normals)
     known = (normals != 0.0).any(axis=1)
@@ -147,15 +147,15 @@ def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tup
 def _compute_moves(
     mesh: Mesh, x: Floats, feature: Flags, free: Flags, share: float, parameters: Parameters
 ) -> Floats:
-    """What one sweep after the clustering adds to the positions x, (n, 3)."""
+    """Displacements (n, 3) in a sweep after the clustering, at positions x (n, 3)."""
     links = mesh.topology
     normals = vertex_normals(x, mesh.faces, parameters.normals)
     umbrella = Umbrella(links.ring_start, links.ring)(x).move
     heights = (umbrella * normals).sum(axis=1)
-    aside = parameters.regularize * (umbrella - heights[:, None] * normals)
-    aside[links.boundary] = 0.0
+    tangential = parameters.regularize * (umbrella - heights[:, None] * normals)
+    tangential[links.boundary] = 0.0
     heights -= PUSHED_BACK * ring_means(heights, links.ring_start, links.ring)
-    flat = 0.5 * (heights[:, None] * normals + aside)
+    flat = 0.5 * (heights[:, None] * normals + tangential)
     edge = share * step_towards_planes(x, normals, links.ring_start, links.ring)
     moves: Floats = np.where(feature[:, None], edge, flat)
     moves[~free | (normals == 0.0).all(axis=1)] = 0.0

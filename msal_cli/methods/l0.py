@@ -44,10 +44,11 @@ FIRST_BETA = 1e-3
 LAST_BETA = 1e3
 
 TOLERANCE = 1e-5
-"""Accuracy of solutions, in mean edge lengths; 1e-8 gives the same figures at thrice the cost."""
+"""Accuracy of solutions, mean edge lengths; 1e-8 has the same results at three times the cost."""
 
 MAX_ITERATIONS = 100
-"""Of the conjugate gradients in one step; noise of 0.3 mean edge lengths takes up to 84."""
+"""Largest number of conjugate gradient iterations in a step; noise of 0.3 mean edge lengths needs
+up to 84."""
 
 BYTES_PER_FACE = 455
 
@@ -98,7 +99,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     for step in range(parameters.iterations):
         growth = (LAST_BETA / FIRST_BETA) ** (step / parameters.iterations)
         beta = FIRST_BETA * growth
-        # During a long solve too, so that the caller may end the run.
+        # Called within a long solve too, where the caller may raise an exception to end the run.
         on_step = partial(on_sweep, step, parameters.iterations)
         alpha = parameters.regularity * gamma / growth**2
         coefficients, deltas = edges.bent(positions, price / beta)

@@ -46,10 +46,10 @@ from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._sliding import undo_sliding
 
 BYTES_PER_FACE = 730
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
+"""Memory beyond what each method needs, measured at the defaults; see ``Method``."""
 
 MIN_KNOWN = 0.03
-"""Level, mean edge lengths, below which noise of an unknown kind is not taken for so little."""
+"""Level, mean edge lengths, below which the level of noise of an unknown kind counts as unknown."""
 
 STAGE_PASSES = 10
 """Passes over the vertices between two stages, as in training."""
@@ -98,7 +98,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
         descriptors = cascade.describe(positions, normals)
-        # They have all of the normals before that counts.
+        # The previous normals are in the descriptors, and their array is overwritten.
         normals = descriptors.predict(network, normals)
         del descriptors
         if done < stages:
@@ -116,13 +116,13 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
 
 
 def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool, bool]:
-    """The level in mean edge lengths, ``given`` or else estimated, whether the noise is white, and
+    """The level in mean edge lengths, ``given`` or estimated; whether the noise is white; and
     whether much of the mesh has hardly any.
 
-    The level is 0 where there is none to speak of, and None where none says what is wrong: on
-    staircases, and where the estimate finds hardly any noise of an unknown kind.  Where it is
-    unsure it is taken for noise: who names the method wants that.  Noise that is given, and a trace
-    of it on a clean mesh, is taken for white unless it is uneven.
+    The level is 0 if the noise is negligible, and None if it is unknown: for terraces, and for weak
+    noise of an unknown kind.  An unsure estimate counts as noise, because the user chose this
+    method.  Noise of a given level, and a trace of noise on a clean mesh, count as white; given
+    noise does not if it is uneven.
     """
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
     from msal_cli.analysis.noise_estimate.fits import NEGLIGIBLE

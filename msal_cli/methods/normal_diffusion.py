@@ -1,7 +1,7 @@
 """Anisotropic diffusion of normals: sharp edges kept, and flat and round parts alike made smooth.
 
 The normals are diffused as colours are in an image, less so across edges; then the surface is
-fitted to them.  What passes between faces with normals n grows with the length l of their edge and
+fitted to them.  The flow between faces with normals n grows with the length l of their edge and
 falls with the distance d of their centroids:
 
     n_i <- n_i + tau / A_i sum(l_ij / d_ij g(|n_j - n_i|) (n_j - n_i)), normalised
@@ -14,7 +14,7 @@ the centroids c, with the diffused normals n' kept.  Each of ``iterations`` roun
 starts with the normals of the surface that the round before left: one long diffusion would end at
 normals that no surface has.
 
-Across a difference of normals of more than about 2 mu hardly anything passes.  By itself mu is
+Across a difference of normals of more than about 2 mu hardly anything flows.  By default mu is
 1.4826 times the median absolute deviation of the differences between neighbours in the input, so
 that it follows the noise.  On rounded shapes take ``similarity=0.5`` and ``normal_iterations=5``,
 which are better by half a degree and more.  A mesh without noise and with flat parts has mu = 0 and

@@ -7,7 +7,7 @@ its own and those of its neighbours, the faces that share a vertex with it,
 
 so that a neighbour beyond the threshold angle, arccos T = 60 degrees by default, does not count:
 that keeps edges.  Then the vertices are fitted to these normals, in passes that each add the mean
-of a vertex's ways to the planes of its faces through their centroids c:
+of a vertex's offsets to the planes of its faces through their centroids c:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 

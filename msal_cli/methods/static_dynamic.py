@@ -7,7 +7,7 @@ sought.  With the given normals n0, areas A and centroids c the energy
     sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2)))
     w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2))
 
-is brought near a minimum by steps that replace all normals by the normalised sums
+is nearly minimised by steps that replace all normals by the normalised sums
 
     2 nu^2 / lambda' A_i n0_i + sum_j w_ij exp(-|n_i - n_j|^2 / (2 nu^2)) n_j
 
@@ -18,8 +18,8 @@ most 256, and lambda' = lambda sum(A) / sum(w without its last factor).  The gui
 
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 
-and the whole starts anew from the mesh as it is now, ``iterations`` times.  The authors' own update
-of the vertices leaves slivers and flipped faces under noise of 0.2 and more.
+and all is repeated from the new mesh, ``iterations`` times.  The authors' own update of the
+vertices leaves slivers and flipped faces under noise of 0.2 and more.
 
 The faces that count reach twice as far as those of ``guided_normal``, and the result stays tied to
 the normals of the mesh.  The default suits machined parts with large flats.  Organic and finely
@@ -49,10 +49,10 @@ from msal_cli.methods._normal_filters import run_rounds
 OnStep = Callable[[], object]
 
 MAX_NEAR = 256
-"""Faces near one at most; fifty are usual."""
+"""Largest number of faces near one; fifty are usual."""
 
 MAX_STEPS = 100
-"""Towards the minimum of the energy."""
+"""Largest number of steps towards the minimum of the energy."""
 
 BYTES_PER_FACE = 1450
 
@@ -119,12 +119,12 @@ def _filtered_normals(
 ) -> Floats:
     """Normals (m, 3) for the faces of ``mesh`` with its vertices at ``vertices`` (n, 3).
 
-    A function of its own, so that the rows of one filtering are gone when the next makes its own.
+    A function of its own, so that its arrays are freed before the next call allocates others.
     """
     normals, areas = face_normals_and_areas(vertices, mesh.faces)
     centroids = face_centroids(vertices, mesh.faces)
     unit = mean_edge_length(centroids, *around.edges)
-    # Without neighbours there is no unit, and nothing that it would measure.
+    # Without neighbours the unit is 0, and any length will do.
     eta = parameters.closeness * (unit or mesh.mean_edge_length)
     near = faces_within(centroids, *around.rows, 3.0 * eta, MAX_NEAR)
     weights, share = pair_weights(

@@ -32,7 +32,7 @@ from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import ring_of
 
 LARGEST_PASS_BAND = 1.0
-"""Noise has its middle frequency at 1: with a pass band beyond it most of it would grow."""
+"""The middle frequency of white noise; with a pass band beyond it most noise would grow."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Parameters:
 
     @property
     def outward_step(self) -> float:
-        """mu, as given or from the pass band; at least -1 in the ranges allowed."""
+        """mu, as given or by the pass band; at least -1 in the ranges allowed."""
         return self.inflate or 1.0 / (self.pass_band - 1.0 / self.shrink)
 
 

@@ -1,13 +1,13 @@
 """Umbrella operator: plain Laplacian smoothing, each vertex towards the mean of its one-ring.
 
-Averaging takes first what changes from vertex to vertex:
+Averaging removes the highest frequencies first:
 
     dx_i = (1 / m_i) sum(x_k - x_i)                     eq. (3)
     x_i <- x_i + tau dx_i + lambda_i (v_i - x_i)        eq. (2)
 
 over the m_i neighbours of vertex i, all vertices at once.  The paper's text takes tau = 1; the
 default here is half of that, as is usual, because a full step makes the finest wave on a regular
-mesh swing to and fro instead of removing it.
+mesh oscillate instead of removing it.
 
 It is the yardstick, not the tool of choice: it smears edges, shrinks the surface with every sweep,
 and slides vertices sideways.  Under ``schedule=multiscale`` lambda is measured from the heights of

@@ -3,10 +3,10 @@
 For organic and textured scans with noise up to about 0.4 mean edge lengths.  Three steps:
 
 1. ``iterations`` plain sweeps of ``al``.  How far they moved each vertex along its normal is the
-   residual: the noise, turned round, and shape that was lost.
-2. The residual is split into five bands from fine to coarse.  Of each, a vertex gets back the
-   share lambda, with Q the power of the lost shape around it, c the share of white noise in the
-   band, and s the ``noise`` (estimated, unless it is given):
+residual: the negative noise, and shape that was lost. 2. The residual is split into five bands from
+fine to coarse.  Of each, a vertex gets back the share lambda, with Q the power of the lost shape
+around it, c the share of white noise in the band, and s the ``noise`` (estimated, unless it is
+given):
 
        lambda = Q / (Q + 0.4 caution c s^2)
 

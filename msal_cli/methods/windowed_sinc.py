@@ -11,8 +11,8 @@ and more, 0.01 those of thirty.  Noise that neighbours share goes with a small p
 ``taubin`` would need hundreds of steps for.  The surface does not shrink.  Edges are rounded to the
 length of the waves that are kept, and may ring a little; vertices slide along the surface.
 
-Pass band and iterations mean what they mean in the filter of the same name of VTK, and the result
-agrees with its default window within a thousandth of the moves.  An iteration costs one pass over
+Pass band and iterations mean the same as in the filter of this name of VTK, and the result agrees
+with its default window within a thousandth of the displacements.  An iteration costs one pass over
 the edges.
 
 Source: G. Taubin, T. Zhang and G. Golub, Optimal surface smoothing as filter design, European
