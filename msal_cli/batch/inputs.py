@@ -18,7 +18,7 @@ from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import urls
-from msal_cli.storage.atomic import is_own
+from msal_cli.storage.atomic import is_manifest, is_own
 from msal_cli.storage.urls import ObjectMark, is_url
 
 _LINKS_NAMED = 3
@@ -290,7 +290,7 @@ def _list_tree(
     """The selected files below a folder, by name; ``failures`` as for `discover_inputs`."""
     if selection.is_pattern and not root.is_dir():
         return
-    real_root = str(resolve(root))
+    real_root, has_output = str(resolve(root)), own_output is not None
     # If the searched folder lies in the output folder, the user named it on purpose.
     if own_output is not None and _is_below(own_output, real_root):
         own_output = None
@@ -303,7 +303,13 @@ def _list_tree(
                 yield DiscoveredInput(place, prefix + relative, str(root))
             continue
         below: list[tuple[str, str, bool]] = []
-        for entry in _scan(place, failures):
+        entries = _scan(place, failures)
+        if relative and has_output and any(is_manifest(entry.name) for entry in entries):
+            warn(
+                f"the folder {place!r} holds results of an earlier run, "
+                "and they are inputs of this one; --exclude leaves them out"
+            )
+        for entry in entries:
             if _is_skipped(entry.name, selection.with_hidden):
                 continue
             path = entry.name if place == "." else os.path.join(place, entry.name)

@@ -275,6 +275,11 @@ def is_own(name: str) -> bool:
     return name.startswith(_OWN_FILES) or _TEMPORARY.fullmatch(name) is not None
 
 
+def is_manifest(name: str) -> bool:
+    """Whether a file of this name is a manifest: msal has written results into its folder."""
+    return name.startswith(_OWN_FILES) and name.endswith(".jsonl")
+
+
 def sweep(folders: Iterable[str | Path], ended: int | None = None) -> int:
     """Remove temporary files of dead processes in these folders (not below them), or those of the
     process ``ended``, which is known to be dead; returns their number."""

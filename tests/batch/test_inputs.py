@@ -132,7 +132,7 @@ class TestOddTrees:
 GLOBS = "s/one/a.ply s/two/b.ply s/c.ply s/one/d.txt"
 TREE = "a.ply left/b.ply left/old/c.ply right/d.obj"
 OWN = ".b.ply .git/c.ply .msal-manifest.jsonl"
-IN_OUT = "a.ply out/a.ply out/sub/b.ply outer/c.ply"
+IN_OUT = "a.ply out/.msal-manifest.jsonl out/a.ply out/sub/b.ply outer/c.ply"
 
 
 @pytest.mark.parametrize(
@@ -156,16 +156,19 @@ IN_OUT = "a.ply out/a.ply out/sub/b.ply outer/c.ply"
         # An output folder in the input is not searched.
         (IN_OUT, "", {"output": "out"}, "a.ply outer/c.ply"),
         (IN_OUT, "**/*.ply", {"output": "./out/"}, "a.ply outer/c.ply"),
+        (IN_OUT, "", {"output": "outer"}, "a.ply out/a.ply out/sub/b.ply"),
         pytest.param(IN_OUT, "", {"output": "alias"}, "a.ply outer/c.ply", marks=posix),
     ],
 )
-def test_what_is_found(tmp_path, files, pattern, options, expected):
+def test_what_is_found(tmp_path, caplog, files, pattern, options, expected):
     make_files(tmp_path, *files.split(), temporary_name("d.ply"))
     if output := options.get("output"):
         options = {"output": f"{tmp_path}/{output}"}
         if output == "alias":
             (tmp_path / "alias").symlink_to("out")
     assert relatives(f"{tmp_path}/{pattern}".rstrip("/"), **options) == expected.split()
+    # Results of an earlier run are inputs, but not unnoticed.
+    assert ("earlier run" in caplog.text) == (output == "outer")
 
 
 # Patterns
