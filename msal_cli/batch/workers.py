@@ -299,7 +299,7 @@ class WorkerPool:
                 line = worker.last_lines[-1] if worker.last_lines else "it printed nothing"
                 raise ResourceError(
                     f"the workers end before they start: {how}; {line}",
-                    hint="there may not be enough memory, or too many processes",
+                    hint="there may not be enough memory, or too many processes or open files",
                 )
         return []
 
@@ -368,7 +368,7 @@ class WorkerPool:
         except OSError as error:
             raise ResourceError(
                 f"no worker can be started: {error.strerror}",
-                hint="there may not be enough memory, or too many processes",
+                hint="there may not be enough memory, or too many processes or open files",
             ) from None
         worker = WorkerProcess(process, process.pid, cores, time.monotonic() + _READY_WITHIN_S)
         self._workers.append(worker)
