@@ -113,10 +113,16 @@ class Command(click.Command):
         with augment_usage_errors(ctx):
             rest = _parse_with_file(ctx, args, super().parse_args)
         for parameter in self.params:
-            value = ctx.params.get(str(parameter.name))
+            given = ctx.params.get(str(parameter.name))
+            values = given if isinstance(given, tuple) else (given,)
             # Such as a shell variable that is not set; -o '' would be the current folder.
-            if value == "" or (isinstance(value, tuple) and "" in value):
+            if "" in values:
                 raise click.BadParameter("it is empty", ctx, parameter)
+            # Click takes everything behind the letter of -o=OUT as the value.
+            for name in map(str, values if "-o" in parameter.opts else ()):
+                if name.startswith("="):
+                    reason = f"{name!r} begins with '=': write -o OUT, or ./{name} for this name"
+                    raise click.BadParameter(reason, ctx, parameter)
         return rest
 
     def _has_more(self) -> bool:

@@ -159,7 +159,7 @@ denoise in -o new --fail-on 'x > ' | the gate 'x >', column & hint:
 denoise in -o '' | '--output': it is empty
 denoise in '' -o new | 'INPUT...': it is empty
 denoise in -o new --fail-on '' | '--fail-on': it is empty
-denoise in -o new --method '' | '--method': it is empty
+denoise in -o=new | '=new' begins with '='
 denoise in -o new --config '' | cannot be read
 view '' | 'A': it is empty
 denoise in -o new --fail-on 'hausdorff > 0' | against a reference & give --reference TRUTH
