@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import content_format, format_of_name, refuse_no_mesh
 from msal_cli.errors import MsalError, TooLargeError, cut_short
-from msal_cli.light_dataclass import dataclass
+from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
@@ -289,7 +289,8 @@ class Forecast:
     # not say, or says what the file has no bytes for
     vertices: int | None = None
     faces: int | None = None
-    n_triangles: int = 0  # an estimate where the header does not count them
+    # an estimate where the header does not count them
+    n_triangles: int = field(default=0, repr=False)
     # resident memory of a process that denoises it, at the peak; None if there is no such file
     memory_bytes: int | None = None
 
