@@ -1,10 +1,10 @@
-"""The Python API: what ``import msal_cli`` offers.
+"""The Python API: the names of ``import msal_cli``.
 
-Functions take arrays of numpy, objects of other mesh libraries, or paths.  They print nothing; the
+Functions take numpy arrays, objects of other mesh libraries, or paths.  They print nothing; the
 log goes to the logger ``msal``.  Errors are those of ``msal_cli.errors``.
 """
 
-# ``as`` makes a name one of this module for type checkers, too.
+# ``as`` exports a name, also for type checkers.
 # ruff: noqa: I001
 import logging
 

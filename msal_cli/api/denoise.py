@@ -55,19 +55,19 @@ Path = str | os.PathLike[str]
 _log = logging.getLogger("msal.api")
 
 _MASK, _TRUST = "(lock)", "(weights)"
-"""Properties that hold the arrays of these arguments; no library has such names."""
+"""Properties for arrays that are given as these arguments; no library has such names."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DenoiseResult:
-    """Denoised positions, and what was done.
+    """Denoised positions, and a record of what was done.
 
     Attributes
     ----------
-    vertices : (n, 3) new positions in the order and in the number type of those that were given
-        (float64 for whole numbers).  The array is new; the one that was given is not changed.
-    record : all figures, as the reports of the command have them.  Lengths are in the units of the
-        vertices, or in mean edge lengths where a name ends in ``_edges``.
+    vertices : (n, 3) new positions in the order and the number type of the given ones (float64 for
+        whole numbers).  The array is new; the given one is not changed.
+    record : all figures, as in the reports of the command.  Lengths are in the unit of the
+        vertices, or in mean edge lengths if the name ends in ``_edges``.
     """
 
     vertices: mesh_objects.Array
@@ -75,7 +75,7 @@ class DenoiseResult:
 
     @property
     def method(self) -> str:
-        """Name of the method that ran; ``none`` where the mesh was left as it was."""
+        """Name of the method that ran; ``none`` if the mesh was left unchanged."""
         return "none" if self.record.method is None else self.record.method.name
 
     @property
@@ -85,14 +85,14 @@ class DenoiseResult:
 
     @property
     def reason(self) -> str:
-        """Why this method was chosen, or why nothing was done; empty where it was given."""
+        """Why this method was chosen, or why nothing was done; empty if you named the method."""
         choice = self.record.choice
         reason = self.record.left_alone or ("" if choice is None else choice.reason)
         return name_arguments(reason)
 
     @property
     def noise(self) -> NoiseEstimate:
-        """The noise of the mesh that was given."""
+        """The noise of the given mesh."""
         assert self.record.noise_estimate is not None
         return self.record.noise_estimate
 
@@ -104,7 +104,7 @@ class DenoiseResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What you should know although the mesh was denoised."""
+        """Problems that did not prevent denoising."""
         return tuple(map(name_arguments, self.record.warnings))
 
     def __repr__(self) -> str:
@@ -172,9 +172,9 @@ def denoise(
 ) -> Any:
     """Remove the noise of a triangle mesh; vertices and faces keep their number and order.
 
-    Without a method this does what ``msal denoise`` does, to the last bit: the noise is estimated,
-    parameters of AL and MSAL are chosen for it, and a mesh without noise stays as it is.  Vertices
-    at one position move together, so seams stay closed.  Nothing that you give is changed.
+    Without a method the result is that of ``msal denoise``, bit for bit: the noise is estimated,
+    parameters of AL and MSAL are chosen for it, and a mesh without noise stays unchanged.  Vertices
+    at one position move together, so seams stay closed.  No argument is modified.
 
     Parameters
     ----------
@@ -185,26 +185,26 @@ def denoise(
     method : name of a method (``msal methods`` lists them).  None, which is ``"adaptive"``, chooses
         parameters of AL and MSAL; ``"auto"`` chooses among all methods and their mixtures, which
         takes longer and comes closer to the true surface.  With parameters, None is ``"msal"``.
-    prefer : for ``"auto"``, what is to come out best: ``"positions"``, ``"normals"``, ``"volume"``
+    prefer : for ``"auto"``, what matters most: ``"positions"``, ``"normals"``, ``"volume"``
         or ``"balanced"``, the default.  It implies ``method="auto"``.
-    keep : what must not suffer: ``"texture"`` (fine relief), or, which imply ``method="auto"``,
-        ``"edges"`` (sharp ones) or ``"shape"`` (the smooth shape beneath the noise).
-    strength : -2 to 2: greater is smoother, less keeps more than what is chosen.
-    assume : ``"noise"`` or ``"texture"``: what the roughness of the mesh is where the estimate
-        cannot tell (``noise.unsure``); it changes nothing where it can.  None takes a mild filter
-        that is not much worse either way.  For every choice, also without ``"auto"``.
-    max_move : no vertex goes further: ``"0.3e"`` is in mean edge lengths, a number in the unit of
-        the vertices, ``"0.1mm"`` a length where ``unit`` is given.  Less keeps closer to the input.
+    keep : what must be preserved: ``"texture"`` (fine relief), ``"edges"`` (sharp ones) or
+        ``"shape"`` (the smooth shape beneath the noise); the last two imply ``method="auto"``.
+    strength : -2 to 2, relative to the choice: greater is smoother, less keeps more.
+    assume : ``"noise"`` or ``"texture"``: what the roughness of the mesh is if the estimate cannot
+        tell (``noise.unsure``); else it has no effect.  None takes a mild filter that is not much
+        worse either way.  For every choice, also without ``"auto"``.
+    max_move : longest move of a vertex: ``"0.3e"`` is in mean edge lengths, a number in the unit of
+        the vertices, ``"0.1mm"`` a length if ``unit`` is given.  Less stays closer to the input.
     lock : vertices that stay where they are: a mask (n,), indices (k,), ``"boundary"``,
-        ``"z < 0"``, or (of mesh objects with such an array) ``"confidence < 0.2"``; several texts
-        in a list add up.
-    weights : (n,) trust in each scanned position, or the name of such an array of a mesh object:
-        greater is pulled back more to where it was scanned, 0 not at all.  The largest is 1.  For
-        methods with a pull to the data: msal, and those with a ``schedule`` other than plain.
+        ``"z < 0"``, or (for a mesh object with such an array) ``"confidence < 0.2"``; a list of
+        texts locks what any of them selects.
+    weights : (n,) trust in each scanned position, or the name of such an array of a mesh object: a
+        greater trust pulls more towards that position, 0 does not.  Values are relative to the
+        largest.  For methods with a pull to the data: msal, and schedules other than plain.
     despike : True brings outlier vertices back to the surface first, False does not; None does so
-        where a method is chosen and they are clearly outliers.
-    min_noise : leave the mesh as it is if its estimated noise is less: a length as ``max_move``,
-        or ``"auto"`` where there is no noise to speak of.
+        if a method is chosen and they are clearly outliers.
+    min_noise : leave the mesh unchanged if its estimated noise is less: a length as ``max_move``,
+        or ``"auto"`` for no noise to speak of.
     unit : unit of the vertices, such as ``"mm"``, for lengths with a unit.
     parameters, more : parameters of the method by name or symbol, such as ``K=0.5`` (greater is
         smoother) or ``iterations=4``; ``msal methods NAME`` explains them.  ``parameters`` is for
@@ -213,17 +213,17 @@ def denoise(
     Returns
     -------
     DenoiseResult for vertices and faces: new positions and figures.  For a mesh object a copy of
-    the same type with colours, texture coordinates, data and metadata kept; normals follow.
+    the same type with colours, texture coordinates, data, metadata, and updated normals.
 
     Raises
     ------
     UsageError
-        for arguments that mean nothing or exclude each other, or have another name.
+        for arguments that are invalid, unknown, or exclude each other.
     ContentError, InputError, UnsupportedError
-        for what is no mesh, has no array of a name, or has cells that are no polygons;
-        ``error.code`` says how (docs/formats.md lists the codes).
+        for data that are not a mesh, lack a named array, or have cells that are not polygons;
+        ``error.code`` says which (docs/formats.md lists the codes).
     ResourceError
-        where there is not enough memory.
+        if there is not enough memory.
 
     Notes
     -----
@@ -258,7 +258,7 @@ def denoise(
                 )
             mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
-        # By the steps that files take.
+        # The same steps as for files.
         _, settings = _parse(denoise, given)
         job = FileRun(mesh.name, settings)
         positions = job.move_vertices(mesh)
@@ -279,7 +279,7 @@ def _parse(
     function: Callable[..., Any], given: Mapping[str, Any]
 ) -> tuple[tuple[Gate, ...], Settings]:
     """The gates and the settings for the arguments of a function of the API; UsageError also for a
-    parameter that is given twice, and for a keyword that neither it nor any method has."""
+    parameter that is given twice, and for an unknown keyword."""
     parameters, more, unit = given["parameters"] or {}, given["more"], given["unit"]
     if not isinstance(parameters, Mapping):
         raise UsageError(f"parameters = {parameters!r} is not allowed", hint='give {"K": 0.5}')
@@ -305,7 +305,7 @@ def _parse(
 
 
 def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
-    """A mask (n,) of a mask or of indices; UsageError for anything else."""
+    """A mask (n,) from a mask or from indices; UsageError for anything else."""
     values = mesh_objects.as_array(lock, "lock", UsageError)
     if values.dtype == np.bool_ and values.shape == (n,):
         return values
@@ -362,23 +362,23 @@ def denoise_file(
 ) -> MeshRecord:
     """Denoise one mesh file; the output is the input with its positions replaced.
 
-    The same bytes as ``msal denoise INPUT -o OUTPUT``.  The output appears whole or not at all.
+    Its bytes are those of ``msal denoise INPUT -o OUTPUT``.  It appears whole or not at all.
 
     Parameters
     ----------
     input : a mesh file of any format that msal reads (docs/formats.md), or a URL.
-    output : the file to write; one that is there is replaced.  Its suffix decides the format.
+    output : the file to write; an existing one is replaced.  Its suffix decides the format.
     method, prefer, keep, strength, assume, max_move, despike, min_noise, unit, parameters,
     more : as for ``denoise``.
     lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
-        ``"confidence < 0.2"``; several in a list add up.
+        ``"confidence < 0.2"``; a list of texts locks what any of them selects.
     weights : a PLY vertex property, such as ``"confidence"``, as trust.
     intersections : also count the pairs of faces that intersect each other, which takes longer.
-    to, encoding, precision : the output's format where its suffix does not say it; ``"ascii"`` or
-        ``"binary"``; ``"float32"`` or ``"float64"``.  ``"same"`` keeps what the input has.
-    strict : raise LossError where another format would lose something, instead of a warning.
-    format : the input's format where its name does not show it.
-    fail_on : gates such as ``"abs(volume_change) > 1%"`` (docs/gates.md); what became of each is in
+    to, encoding, precision : the output's format if its suffix does not show it; ``"ascii"`` or
+        ``"binary"``; ``"float32"`` or ``"float64"``.  ``"same"`` keeps those of the input.
+    strict : raise LossError, instead of a warning, if another format would lose something.
+    format : the input's format if its name does not show it.
+    fail_on : gates such as ``"abs(volume_change) > 1%"`` (docs/gates.md); their results are in
         ``record.gates``.  A broken gate raises nothing.
 
     Returns
@@ -388,9 +388,9 @@ def denoise_file(
     Raises
     ------
     UsageError
-        for arguments that mean nothing or exclude each other, and an output that cannot be.
+        for arguments that are invalid or exclude each other, and an impossible output.
     InputError
-        where the input is at fault; ``error.code`` says how (docs/formats.md lists the codes).
+        if the input is at fault; ``error.code`` is the fault (docs/formats.md lists the codes).
     LossError, OutputError, ResourceError, InternalError
         as in ``msal_cli.errors``.
     """
@@ -451,15 +451,15 @@ def denoise_folder(
 ) -> Generator[MeshRecord, None, None]:
     """Denoise all mesh files of a folder; iterate the records as files finish.
 
-    Arguments are checked and files are found at once; the work begins with the first record that
-    is asked for, so ``list(...)`` does it all.  A file that fails is a record with ``status``
-    ``"failed"`` and an ``error``, and the others go on.  What an earlier run has finished is not
+    Arguments are checked and files are found at once; the work starts when the first record is
+    requested, so ``list(...)`` does all of it.  A file that fails gives a record with ``status``
+    ``"failed"`` and an ``error``, and the others continue.  What an earlier run has finished is not
     done again (``"up-to-date"``).  Outputs and manifest are those of ``msal denoise``, which can
-    continue such a run, and the other way round.
+    continue such a run, and vice versa.
 
-    Files are done by worker processes; no signal is taken, so that it works in notebooks and in any
-    thread.  Leaving the loop early, by ``break``, Ctrl-C or ``close()``, ends the run: finished
-    files are whole and recorded, and the same call goes on from there.
+    Worker processes denoise the files.  No signal handler is installed, so this works in notebooks
+    and in any thread.  Leaving the loop early, by ``break``, Ctrl-C or ``close()``, ends the run:
+    finished files are whole and recorded, and the same call continues from there.
 
     Parameters
     ----------
@@ -467,16 +467,15 @@ def denoise_folder(
         several of them.
     output : the folder to write, which gets the tree of the inputs; not with ``in_place``.
     method to fail_on, parameters, more : as for ``denoise_file``.
-    include, exclude : patterns of files to take or to leave out, such as ``"*.ply"``.
+    include, exclude : patterns of files to include or exclude, such as ``"*.ply"``.
     in_place : replace the inputs.
-    backup : with ``in_place``, what is added to the names of the originals, which are kept beside
-        them; None keeps none.
+    backup : with ``in_place``, the suffix under which the originals are kept; None keeps none.
     jobs : files at the same time: more is faster and takes more memory.  None is one per core, as
         far as memory allows.  The results do not depend on it.
-    timeout, memory_limit : seconds and bytes that one file may take; None is no limit.
-    retries : how often a file is tried again that was lost to a crash, memory or time.
-    max_failures : begin no more files once so many have failed.
-    force : replace files in the output folder that no run of msal put there.
+    timeout, memory_limit : seconds and bytes that one file may use; None is unlimited.
+    retries : how often a file is tried again after a crash, or when memory or time ran out.
+    max_failures : start no more files after so many failures.
+    force : replace files in the output folder that no run of msal wrote.
     fresh : do again what an earlier run has finished.
     retry_failed : try again what failed in an earlier run and would fail again.
 
@@ -487,12 +486,12 @@ def denoise_folder(
     Raises
     ------
     UsageError
-        for arguments that mean nothing or exclude each other, inputs or outputs that cannot be;
-        with the first record also ``E_LOCKED``, where another run works on the output.
+        for arguments that are invalid or exclude each other, and impossible inputs or outputs;
+        with the first record also ``E_LOCKED``, if another run works on the output.
     NothingMatched
-        where the inputs hold no mesh file.
+        if the inputs contain no mesh file.
     OutputError, ResourceError
-        while iterating, where the output cannot be written, or no worker can be started.
+        while iterating, if the output cannot be written, or no worker can be started.
     """
     given = locals()
     with explained_errors():
@@ -533,12 +532,12 @@ def _iterate_records(
     work: Callable[..., Any], gates: Sequence[Gate]
 ) -> Generator[MeshRecord, None, None]:
     """The records of ``work``, a ``batch.run.run``, in the order in which files finish, with the
-    results of the gates; what it raises is raised here, and explained.
+    results of the gates; its errors are raised here, with explanations.
 
-    The run has a thread of its own and takes no signals, since Python gives these to the main
-    thread only; files are done in worker processes that can be ended at any time.
-    Where the iteration is left early, by ``close`` or an exception such as Ctrl-C's, the run is
-    ended first: its workers are gone, and finished files are whole and recorded.
+    The run has a thread of its own and handles no signals, since Python delivers these only to the
+    main thread; its worker processes can be ended at any time.  If the iteration is left early, by
+    ``close`` or an exception such as Ctrl-C's, the run is ended first: its workers are gone, and
+    finished files are whole and recorded.
     """
     cancellation = Cancellation()
     messages: queue.SimpleQueue[MeshRecord | BaseException | None] = queue.SimpleQueue()

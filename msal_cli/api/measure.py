@@ -34,13 +34,13 @@ def compare(before: Any, after: Any, *, intersections: bool = False) -> Comparis
     ComparisonRecord, the figures of ``msal compare``.  With the same faces: displacement, angles
     between face normals in degrees (mean: the MSAE of the literature), vertex error in % of the
     mean edge length, flipped faces, change of volume and area; and, whatever the faces are, the
-    distances between the surfaces and the Hausdorff distance, in units of the vertices.  What
+    distances between the surfaces and the Hausdorff distance, in the unit of the vertices.  What
     cannot be measured is None, and ``warnings`` says why.
 
     Raises
     ------
     InputError, UsageError, ResourceError
-        where one of them cannot be read, or is no mesh; ``error.path`` is the file.
+        if one of them cannot be read, or is not a mesh; ``error.path`` is the file.
     """
     with explained_errors():
         if _is_path(before) and _is_path(after):
@@ -57,7 +57,7 @@ def _is_path(given: Any) -> bool:
 
 
 def _read(given: Any) -> tuple[Surface, str]:
-    """The surface of an argument, and what records call it."""
+    """The surface of an argument, and its name in records."""
     if _is_path(given):
         return surface_of(open_mesh_file(os.fsdecode(given))), os.fsdecode(given)
     is_pair = isinstance(given, tuple | list) and len(given) == 2
@@ -66,12 +66,12 @@ def _read(given: Any) -> tuple[Surface, str]:
 
 
 def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstimate:
-    """How much noise a mesh has, and of what kind; the figures of ``msal info``.
+    """Estimate how much noise a mesh has, and of what kind; the figures of ``msal info``.
 
-    The estimate does not depend on how the mesh is turned, moved or scaled, and hardly takes longer
-    for a large mesh.  Noise of 0.05 to 0.7 mean edge lengths is estimated within some per cent
-    where it is white, within about 15 % where neighbours share it.  Detail as fine as the mesh
-    itself cannot be told from noise: the interval says how much of the level may be that.
+    The estimate does not depend on the mesh's rotation, position or scale, and hardly takes longer
+    for a large mesh.  White noise of 0.05 to 0.7 mean edge lengths is estimated to within some per
+    cent, correlated noise to within about 15 %.  Detail as fine as the mesh itself cannot be told
+    from noise: the interval shows how much of the level may be detail.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
     Returns
     -------
     NoiseEstimate: ``mean_edges`` is the standard deviation in mean edge lengths, ``file_units`` the
-    same in the unit of the vertices, ``kind`` what it is like; docs/report.md explains all fields.
+    same in the unit of the vertices, ``kind`` the kind of noise; docs/report.md explains all.
 
     Raises
     ------
@@ -117,20 +117,20 @@ def add_noise(
     level : standard deviation in mean edge lengths, from 0: greater is noisier.
     seed : whole number from 0; another one gives other noise of the same kind.
     fraction : for impulsive and outliers, the share of the vertices that move, 0 to 1; default 0.1.
-    rings : averages over one-rings, from 0: more is shared more widely, at the same level.  Default
-        2 for correlated, else 0.
-    direction : (3,) of any length: of the view, or where there is more of half and ramp; default z.
+    rings : averages over one-rings, from 0: more correlates wider, at the same level.  Default 2
+        for correlated, else 0.
+    direction : (3,) of any length: of the view, or where half and ramp are noisier; default z.
     step : of quantised depths, mean edge lengths: greater is coarser; default 0.5.
     border : for half, the width over which the noise begins, as a share of the extent, 0 to 1.
 
     Returns
     -------
-    New positions (n, 3) in the number type that was given; for a mesh object a copy of it.
+    New positions (n, 3) in the given number type; for a mesh object a copy of it.
 
     Raises
     ------
     UsageError
-        for a setting that the kind does not use, or a value that is not allowed.
+        for a setting that the kind does not use, or an invalid value.
     ContentError, UnsupportedError, ResourceError
         as ``denoise``.
     """
@@ -170,4 +170,4 @@ _READ: dict[str, Callable[[Any, str], Any]] = {
     "step": to_number,
     "border": to_number,
 }
-"""How each setting is checked before it is used."""
+"""The function that checks each setting."""

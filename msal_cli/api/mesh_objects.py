@@ -1,6 +1,6 @@
-"""Meshes in memory as the pipeline reads them: from arrays, or from objects of other libraries.
+"""Meshes in memory for the pipeline: from arrays, or from objects of other libraries.
 
-These objects are recognised by their classes alone: none of their libraries is imported.
+Objects are recognised by the names of their classes: no library is imported for this.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from msal_cli.job.settings import METRES
 Array = NDArray[Any]
 
 ARRAYS = "arrays"
-"""What a mesh without a file is called."""
+"""The name of a mesh without a file."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -33,10 +33,10 @@ class MemoryMesh(Surface):
 
     Attributes
     ----------
-    dtype : number type of the positions that were given, and of those that go back.
-    name : what records and errors call it.
+    dtype : number type of the given positions, and of those that are returned.
+    name : its name in records and errors.
     properties : numbers at the vertices, (n,) each, by name.
-    copy_object : makes a copy of the object that was given, from this mesh and other positions.
+    copy_object : makes a copy of the given object, from this mesh and other positions.
     """
 
     dtype: np.dtype[Any]
@@ -45,13 +45,13 @@ class MemoryMesh(Surface):
     copy_object: Callable[[MemoryMesh, Array], Any] | None = None
 
     def to_result(self, vertices: Array) -> Any:
-        """A copy of the object that was given with other positions (n, 3), or these alone."""
+        """A copy of the given object with other positions (n, 3); for arrays these alone."""
         return vertices if self.copy_object is None else self.copy_object(self, vertices)
 
     def renew_normals(self, vertices: Array, entries: Array, normals: Any) -> Array:
-        """Stored normals (g, 3) for new positions (n, 3), as the command renews those of files.
+        """Recompute stored normals (g, 3) for new positions (n, 3), as the command does for files.
 
-        ``entries`` (m, 3) is the normal that each corner of a triangle uses.
+        ``entries`` (m, 3) are the indices of the normals that corners of triangles use.
         """
         from msal_cli.kernels.geometry import regroup_normals
 
@@ -78,14 +78,14 @@ class MemoryMesh(Surface):
         return vertices if is_same else self.to_given_type(vertices).astype(np.float64)
 
     def to_given_type(self, vertices: Floats) -> Array:
-        """New positions (n, 3) in the number type of those that were given."""
+        """New positions (n, 3) in the number type of the given ones; ContentError (``E_RANGE``)."""
         with np.errstate(over="ignore"):
             rounded = vertices.astype(self.dtype)
         if self.dtype.itemsize < 8 and not np.isfinite(rounded).all():
             raise ContentError(
                 f"a new position is too large for {self.dtype}", code="E_RANGE", hint="give float64"
             )
-        # What did not move is what was given, to the last bit; an own array in any case.
+        # Exact for vertices that did not move; always a new array.
         return rounded
 
 
@@ -96,10 +96,10 @@ def from_arrays(
     arrays: Mapping[str, Any] | None = None,
     copy_object: Callable[[MemoryMesh, Array], Any] | None = None,
 ) -> MemoryMesh:
-    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers; what
-    ``mesh.prepare_mesh`` refuses is not refused here.
+    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers, which
+    ``mesh.prepare_mesh`` checks later.
 
-    Those of the ``arrays`` are properties that have one real number for each vertex.
+    ``arrays`` that have one real number for each vertex become properties.
     """
     positions, corners = as_array(vertices, "vertices"), as_array(faces, "faces")
     if positions.dtype.kind not in "fiu":
@@ -108,7 +108,7 @@ def from_arrays(
         )
     properties = {}
     for key, values in (arrays or {}).items():
-        # Masks are looked at where the numbers are used.
+        # Masks are checked where the numbers are used.
         array = np.asanyarray(values)
         if array.dtype.kind in "fiub" and array.size == len(positions) == len(array):
             properties[str(key)] = array
@@ -123,8 +123,8 @@ def from_arrays(
 
 
 def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError) -> Array:
-    """An array of what was given; an ``error`` where its rows are not of one length, or where some
-    of it is masked: numpy would drop the mask, and take what is below it for numbers."""
+    """Convert values to an array; an ``error`` if rows differ in length, or if some values are
+    masked: numpy would drop the mask, and use the values below it."""
     parts = values if isinstance(values, list | tuple) else (values,)
     if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
         raise error(
@@ -138,7 +138,7 @@ def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError
 
 
 def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
-    """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as in files."""
+    """Triangles (m, 3) of polygons with ``sizes`` (p,) and ``corners`` (c,), cut as in files."""
     triangles: Longs = corners[cut_polygons(np.arange(len(corners), dtype=np.int32), sizes)]
     return triangles
 
@@ -160,8 +160,8 @@ def _read_trimesh(mesh: Any) -> MemoryMesh:
 
 
 def _read_pyvista(mesh: Any) -> MemoryMesh:
-    """The mesh, its polygons cut into triangles for the mathematics only; the copy keeps all
-    arrays, and normals follow the surface."""
+    """The mesh, its polygons cut into triangles for the computation only; the copy keeps all
+    arrays, and gets new normals."""
     counts = {"lines": mesh.n_lines, "vertices": mesh.n_verts, "strips": mesh.n_strips}
     others = ", ".join(f"{n:,} {name}" for name, n in counts.items() if n)
     if others:
@@ -209,14 +209,14 @@ _COMPONENTS = ("nx", "ny", "nz")
 
 def _read_meshio(mesh: Any) -> MemoryMesh:
     """The mesh of all triangles, quads and polygons, which are cut into triangles for the
-    mathematics only; the copy keeps all cells and data, and normals follow the surface."""
+    computation only; the copy keeps all cells and data, and gets new normals."""
     blocks = [np.empty((0, 3), dtype=np.int64)]
     for block in mesh.cells:
         if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
             rows = as_array(block.data, "faces").astype(np.int64, copy=False)
             sizes = np.full(len(rows), rows.shape[1], dtype=np.int64)
             blocks.append(_fan_triangles(rows.reshape(-1), sizes))
-        # Points and lines lie on the surface: their corners move with it.
+        # Points and lines use vertices of the surface, and move with it.
         elif block.type not in ("vertex", "line"):
             raise UnsupportedError(
                 f"the meshio.Mesh has {len(block.data)} {block.type} cells",
@@ -241,7 +241,7 @@ def _read_meshio(mesh: Any) -> MemoryMesh:
 
 
 def _read_open3d(mesh: Any) -> MemoryMesh:
-    """The mesh; the copy keeps colours, UVs and textures, and normals follow the surface."""
+    """The mesh; the copy keeps colours, UVs and textures, and gets new normals."""
     if hasattr(mesh, "vertex"):
         raise UnsupportedError(
             "an open3d.t.geometry.TriangleMesh is not denoised", hint="give mesh.to_legacy()"
@@ -268,12 +268,12 @@ _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
     ("meshio", "Mesh"): _read_meshio,
     ("open3d", "TriangleMesh"): _read_open3d,
 }
-"""By the package and the name of the class."""
+"""Readers by the package and the name of a class."""
 
 
 def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
-    """The mesh of arrays, or where there are no ``faces`` of an object of trimesh, pyvista, meshio
-    or open3d; UnsupportedError for cells that are no faces, UsageError for anything else."""
+    """The mesh of arrays or, without ``faces``, of an object of trimesh, pyvista, meshio or open3d;
+    UnsupportedError for cells that are not faces, UsageError for anything else."""
     if isinstance(faces, str):
         raise UsageError(
             f"faces are {faces!r}, a text",
@@ -318,9 +318,9 @@ def name_arguments(text: str) -> str:
 
 @contextmanager
 def explained_errors(name: str = ARRAYS, path: str = "") -> Iterator[None]:
-    """Turn every error of the block into a ``MsalError`` whose traceback says what to do.
+    """Turn every error of the block into a ``MsalError`` with notes: its code, place and hint.
 
-    ``name`` is what is at work, for the log; ``path`` the file, which errors of its own know.
+    ``name`` is for the log; ``path`` is the file, for errors that do not name one.
     """
     try:
         yield

@@ -12,14 +12,14 @@ MethodName = Literal[
     "mean_curvature_flow", "msal", "normal_diffusion", "normal_threshold",
     "scale_dependent_umbrella", "static_dynamic", "taubin", "umbrella", "wiener", "windowed_sinc",
 ]  # fmt: skip
-"""``adaptive`` and ``auto`` choose; the others are methods (``list_methods``)."""
+"""``adaptive`` and ``auto`` stand for a choice; the others are methods (``list_methods``)."""
 
 
 class MethodParameters(TypedDict, total=False):
     """Parameters of methods by name or symbol; ``list_methods`` says which method has which.
 
-    Those that Python or the functions use themselves, such as ``lambda`` and ``weights``, are not
-    here: they go into ``parameters``.
+    Names that Python or the functions use themselves, such as ``lambda`` and ``weights``, are
+    missing: give them in ``parameters``.
     """
 
     alpha: float
@@ -93,10 +93,9 @@ class MethodInfo:
 
     Attributes
     ----------
-    name : what ``method=`` takes.
+    name : the name for ``method=``.
     summary : what it does, in one line.
-    parameters : what each parameter means, by name: its range, its default, and what more of it
-        does.
+    parameters : for each parameter by name its meaning, range and default, and the effect of more.
     """
 
     name: MethodName
@@ -109,8 +108,7 @@ def list_methods() -> tuple[MethodInfo, ...]:
 
     Returns
     -------
-    A MethodInfo for each, in alphabetical order.  ``"adaptive"`` and ``"auto"``, which choose one,
-    are not among them.
+    A MethodInfo for each, in alphabetical order.  ``"adaptive"`` and ``"auto"`` are not methods.
     """
     from msal_cli import methods
 

@@ -1,1 +1,1 @@
-"""Pictures of meshes as PNG, without a graphics card and without a display; and pages."""
+"""Pictures of meshes as PNG and pages, without a graphics card and without a display."""

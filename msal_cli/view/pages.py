@@ -1,10 +1,9 @@
-"""Pages with meshes to turn in the browser by plain WebGL2: that of ``msal view -o page.html``, and
-the parts that it shares with the page of a run.
+"""Pages with meshes that can be turned in the browser, by plain WebGL2: the page of ``msal view -o
+page.html``, and the parts that it shares with the report of a run.
 
-A page is one file: the viewer, its style, the meshes and a picture, for where there is no WebGL and
-for print, are all in it.  A content security policy lets the browser run only the scripts and the
-styles that were written here, and load nothing.  What comes from outside (names of files, mostly)
-is escaped by ``escape``.
+A page is one file with the viewer, its style, the meshes, and a picture for print and for browsers
+without WebGL.  A content security policy lets the browser run only these scripts and styles, and
+load nothing.  What comes from outside (mostly file names) is escaped by ``escape``.
 """
 
 import base64
@@ -32,17 +31,17 @@ _SPLIT_KEYS = (
 )
 
 STILL_SIZE = 560
-"""Pixels in the width of each panel of the picture in a page, at most."""
+"""Largest width in pixels of a panel in the picture of a page."""
 
 _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
 
 
 def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, str]] = ()) -> bytes:
-    """The page of a scene, seen at the start as in ``view``; large meshes are decimated.
+    """The page of a scene, at first seen as in ``view``; large meshes are decimated.
 
-    ``command`` is what made the page, for its readers, and ``facts`` are words and texts on what is
-    between two meshes.  A picture of the scene is in the page too, for where there is no WebGL and
-    for print.
+    ``command`` is the command that made the page, and ``facts`` are words and texts on the
+    difference of two meshes.  The page contains a picture of the scene, too, for print and for
+    browsers without WebGL.
     """
     scale = pictures.scale_of_scene(scene)
     still = pictures.draw_picture(scene, replace(view, size=min(view.size, STILL_SIZE)))
@@ -101,7 +100,7 @@ def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, s
 
 
 def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
-    """What a reader has to know of the picture and of the meshes."""
+    """Notes for the reader on the picture and the meshes."""
     if any(n_all != n_drawn for n_all, n_drawn in drawn.counts):
         counts = " and ".join(f"{n_drawn:,} of {n_all:,} faces" for n_all, n_drawn in drawn.counts)
         yield (
@@ -136,12 +135,12 @@ def build_page(
 ) -> bytes:
     """A page as UTF-8, with a button for light and dark.
 
-    ``content`` and ``verdict``, which stands beside the title, are elements; ``version`` is that of
-    the msal which made what is shown.
+    ``content`` and ``verdict``, which is shown beside the title, are elements; ``version`` is the
+    version of msal that made the content.
     """
     scripts = [*scripts, asset(__file__, "theme.js")]
     styles = [asset(__file__, "frame.css"), *styles]
-    # Only these scripts and styles run, and pictures in the page are shown; nothing is loaded.
+    # Only these scripts and styles may run, and only pictures in the page are shown.
     policy = (
         "default-src 'none'",
         f"script-src {_hashes(scripts)}",
@@ -163,7 +162,7 @@ def build_page(
 
 
 def viewer_script() -> str:
-    """The viewer's script; it starts every ``msal-scene`` before it in the page."""
+    """The viewer's script; it starts each ``msal-scene`` that precedes it in the page."""
     inner = "\n".join(asset(__file__, name) for name in _SCRIPTS)
     return f'"use strict";\n(() => {{\n{inner}}})();\n'
 
@@ -184,17 +183,17 @@ def embed_scene(
     deviation_note: str = "",
     is_flat: bool = False,
 ) -> str:
-    """The elements of one scene, for a page that also holds ``viewer_script()`` (behind) and
-    ``viewer_style()``.
+    """The elements of one scene, for a page that also has ``viewer_style()`` and, after them,
+    ``viewer_script()``.
 
     Parameters
     ----------
-    key : the id of the data, a letter and then letters, digits, ``_`` and ``-``.
-    picture : JPEG that is shown until the viewer starts, where it cannot, and in print.
-    description : what the picture shows, for those who do not see it.
+    key : the id of the data: a letter, then letters, digits, ``_`` and ``-``.
+    picture : JPEG that is shown until the viewer starts, if it cannot start, and in print.
+    description : a text in place of the picture.
     starts : ``click`` to wait for a button, ``now`` to start with the page.
-    deviation, deviation_note : the heading of the colour scale, and what is to be said below it.
-    is_flat : whether every face is shown at the start, not a rounded surface.
+    deviation, deviation_note : the heading of the colour scale, and a note below it.
+    is_flat : whether faces are shown flat at the start; else the surface is shown smooth.
     """
     values = {
         "scene": key,
@@ -213,7 +212,7 @@ def embed_scene(
 
 
 def escape(text: str) -> str:
-    """``text`` as it may be between tags and within quotes."""
+    """``text`` escaped for use between tags and within quotes."""
     return html.escape(escape_for_display(text), quote=True)
 
 
@@ -224,7 +223,7 @@ def asset(module: str, name: str) -> str:
 
 
 def to_base64(data: bytes) -> str:
-    """``data`` in letters that mean nothing in HTML or JSON."""
+    """``data`` in characters that have no special meaning in HTML or JSON."""
     return base64.b64encode(data).decode("ascii")
 
 

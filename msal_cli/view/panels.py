@@ -1,4 +1,4 @@
-"""Images side by side with words and a scale of colours, as PNG or JPEG."""
+"""Images side by side with text and a colour scale, as PNG or JPEG."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Panel = tuple[Image, str, Sequence[str]]
 
 @dataclass(frozen=True, eq=False)
 class Legend:
-    """A scale of colours, drawn below the last panel."""
+    """A colour scale, drawn below the last panel."""
 
     lines: tuple[str, ...]  # what the colours mean, and in which units
     colours: NDArray[np.uint8]  # (k, 3) uint8 from the left end to the right one
-    # places from 0 to 1, each with the words above and below the scale there
+    # positions from 0 to 1, each with the text above and below the scale there
     ticks: tuple[tuple[float, str, str], ...]
 
 
@@ -91,7 +91,7 @@ def draw_panels(
 
 
 class _Words:
-    """Sizes in pixels of what surrounds panels of a certain width, and what is written there."""
+    """Sizes in pixels of what surrounds panels of a certain width, and the text in it."""
 
     draw: ImageDraw
 
@@ -123,12 +123,12 @@ class _Words:
         rows: list[str] = []
         for line in lines:
             is_cut = fit_text(line, self.text, width)[0].startswith("...")
-            # Letters are 0.6 of their size wide in the mean.
+            # The mean width of letters is 0.6 of their size.
             rows += wrap(line, round(1.7 * width / self.text)) if is_cut else [line]
         return tuple(rows)
 
     def write_lines(self, place: tuple[int, int], lines: Sequence[str], width: int) -> int:
-        """Draw faint lines below one another; how far down the next one would be."""
+        """Draw faint lines below one another; returns y of the next one."""
         left, y = place
         for line in lines:
             self.write((left, y), line, FAINT, width)
@@ -139,7 +139,7 @@ class _Words:
 def _draw_legend(words: _Words, legend: Legend, place: tuple[int, int], width: int) -> None:
     draw, left = words.draw, place[0]
     y = words.write_lines((left, place[1] + words.gap // 2), legend.lines, width)
-    # Words at the ends extend beyond the scale by half their width.
+    # Texts at the ends extend beyond the scale by half their width.
     ticks, texts = legend.ticks, [word for _, *both in legend.ticks for word in both]
     lengths = [fit_text(word, words.text, width)[1].getlength(word) for word in texts]
     longest = max(lengths, default=0)
@@ -163,23 +163,23 @@ def _draw_legend(words: _Words, legend: Legend, place: tuple[int, int], width: i
             words.write((x, bottom + 7), below, TEXT, each, anchor="ma")
 
 
-# Words: the font that comes with Pillow, and what it cannot draw
+# Text: the font that comes with Pillow, and what it cannot draw
 
 
-# Tried in turn for what the built-in font lacks; it has little beyond ASCII.
+# Tried in turn for characters that the built-in font lacks; it has little beyond ASCII.
 _OTHER_FONTS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "Arial.ttf")
 
 _NO_CHARACTER = "\U0010fffd"
 
 
 def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFont]:
-    """``text`` as it can be drawn in ``width`` pixels, and the font of ``size`` pixels for it.
+    """``text`` as it can be drawn in ``width`` pixels, and a font of ``size`` pixels for it.
 
-    What a font cannot draw, and what has no shape of its own (line ends, marks that turn the
-    writing direction), becomes an escape such as ``\\x0a``.  Of what is too long the end stays,
-    because the end of a path says more than its beginning.
+    Characters that the font lacks, and those without a shape (line ends, changes of the writing
+    direction), become escapes such as ``\\x0a``.  A text that is too long is cut to its end,
+    because the end of a path says most.
     """
-    # No shape is narrower than a third of a pixel.
+    # No character is narrower than a third of a pixel.
     max_length = 3 * max(width, 1)
     plain = escape_for_display(text[-max_length:])
     fonts = [font for name in ("", *_OTHER_FONTS) if (font := _load_font(name, size))]
@@ -197,10 +197,10 @@ def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeF
 
 @functools.cache
 def _load_font(name: str, size: int) -> ImageFont.FreeTypeFont | None:
-    """A font by its file name, the built-in one for no name; None where it is not there."""
+    """The font in a file, or the built-in one for an empty name; None if it is missing."""
     from PIL import ImageFont
 
-    # The plain layout is the same whether or not a library for complex scripts is there.
+    # The basic layout does not depend on an optional library for complex scripts.
     plain = ImageFont.Layout.BASIC
     if name:
         try:
@@ -219,11 +219,11 @@ def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
     return character == " " or bytes(font.getmask(character)) != bytes(font.getmask(_NO_CHARACTER))
 
 
-# Image files; JPEG takes a fraction of the bytes, for pages
+# Image files; for pages JPEG, which takes a fraction of the bytes
 
 
 def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
-    """(h, w, 3) uint8 as the bytes of a JPEG file; words need a ``quality`` of 90."""
+    """(h, w, 3) uint8 as the bytes of a JPEG file; text needs a ``quality`` of 90."""
     from PIL import Image
 
     data = io.BytesIO()
@@ -234,7 +234,7 @@ def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
 def png_bytes(image: NDArray[np.uint8], max_colours: int | None = None) -> bytes:
     """(h, w, 3) uint8 as the bytes of a PNG file; the same image always gives the same bytes.
 
-    ``max_colours`` up to 256 makes a file of about a third of the size, with that many colours.
+    ``max_colours``, up to 256, reduces the colours, and the file to about a third of its size.
     """
     from PIL import Image
 

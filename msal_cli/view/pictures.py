@@ -1,4 +1,4 @@
-"""One mesh, or two of one object, as a picture with numbers: the bracket behind ``msal view``."""
+"""The picture of ``msal view``: one mesh, or two of one object, with numbers."""
 
 from __future__ import annotations
 
@@ -32,49 +32,49 @@ DISTANCE = "Distance to the surface before"
 NOTHING_MOVED = "Nothing moved"
 
 SHARE_WITHIN = 0.99
-"""Share of the numbers within the ends of a scale, so that one stray vertex does not pale all."""
+"""Share of the numbers within the ends of a scale, so that one outlier does not make all pale."""
 
 _MIN_END = 1e-290
-"""End of a scale, file units: tenths of much smaller ones are no numbers with all digits."""
+"""Least end of a scale, file units: parts of a smaller one would be denormal numbers."""
 
 _MIN_BRIGHTNESS = 16
-"""One colour of all vertices that is darker hides the shape; programs write it where none is
-meant."""
+"""If all colours of a file are darker, they would hide the shape; programs write such colours where
+none are meant."""
 
 _MIN_TALLNESS, _MAX_TALLNESS = 0.6, 1.4
-"""Height over width of a panel."""
+"""Range of the ratio of height to width of a panel."""
 
-# Of the largest coordinate: what a position is off after a few operations on it.
+# Rounding error of a position after a few operations, relative to the largest coordinate.
 _ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One mesh, or two in one coordinate system, ready to be drawn."""
+    """One mesh, or two in one coordinate system, ready to draw."""
 
     names: tuple[str, ...]  # of the files, one for each mesh
-    # before, after: welded and wound one way; ``after`` is None where there is one mesh
+    # before, after: welded, with consistent winding; ``after`` is None if there is one mesh
     before: Mesh
     after: Mesh | None = None
-    # (n,) one number in file units for each vertex of ``after``; None where unknown
+    # (n,) a number in file units for each vertex of ``after``; None if unknown
     deviation: Floats | None = None
-    # whether it is the displacement along the normals of ``before``, outwards positive, also where
-    # they point inwards because the surface is inside out; else it is the distance to the surface
-    # of ``before``
+    # whether that is the displacement along the normals of ``before``, positive outwards, even if
+    # the normals point inwards because the surface is inside out; else it is the distance to the
+    # surface of ``before``
     is_signed: bool = True
     record: ComparisonRecord | None = None  # the numbers; None for one mesh
-    # one for each mesh, (n, 3) of its vertices or None; empty where none were read
+    # one for each mesh, (n, 3) of its vertices or None; empty if none were read
     colours: tuple[Image | None, ...] = ()
-    notes: tuple[str, ...] = ()  # what could not be shown of the files, by name
+    notes: tuple[str, ...] = ()  # what of the files could not be shown, with their names
 
     def painted(self, at: int) -> Image | None:
-        """The file's colours of mesh ``at``; None where it has none."""
+        """The file's colours of mesh ``at``; None if it has none."""
         return self.colours[at] if at < len(self.colours) else None
 
 
 @dataclass(frozen=True)
 class View:
-    """Where a picture is taken from and how large it is; see ``view.rendering.choose_camera``.
+    """The viewpoint and the size of a picture; see ``view.rendering.choose_camera``.
 
     ``size`` is the width of each panel in pixels.  ``colours`` is ``auto`` for those of the
     files and the deviation, ``file`` or ``deviation`` for one of the two, or ``none``.
@@ -100,10 +100,10 @@ class View:
 def scene_of(
     before: Surface, after: Surface | None, names: tuple[str, ...], *, to_surface: bool = True
 ) -> Scene:
-    """Two surfaces, or one, made ready and measured against each other.
+    """Prepare one or two surfaces for drawing, and compare two.
 
     Where the faces are not the same, the distance to the surface is measured if ``to_surface``.
-    ContentError names a file without a surface to draw.
+    Raises ContentError, which names the file, if it has no surface to draw.
     """
     first = prepare_mesh(before, names[0])
     if after is None:
@@ -129,7 +129,7 @@ def scene_of(
 def _with_colours(
     scene: Scene, surfaces: tuple[Surface, ...], prepared: tuple[PreparedMesh, ...]
 ) -> Scene:
-    """The scene with the colours of the surfaces' vertices, means where several were welded."""
+    """The scene with vertex colours of the surfaces; welded vertices get the mean colour."""
     painted, notes = [], []
     titles = titles_of(scene.names)
     for title, surface, ready in zip(titles, surfaces, prepared, strict=True):
@@ -147,8 +147,8 @@ def _with_colours(
 
 
 def camera_of(scene: Scene, view: View) -> Camera:
-    """The one camera that shows all meshes of a scene."""
-    # Noise must not tilt the view: the smoother of two meshes shows which way is up.
+    """The camera for all meshes of a scene."""
+    # Noise must not tilt the view, so the orientation is guessed from the mesh after.
     chosen = scene.after or scene.before
     return choose_camera(
         chosen.vertices,
@@ -162,7 +162,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
 
 def draw_picture(scene: Scene, view: View) -> Image:
-    """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
+    """(H, W, 3) uint8: the meshes side by side, their deviation, and the numbers."""
     camera = camera_of(scene, view)
 
     def image(mesh: Mesh, at: int) -> Image:
@@ -194,9 +194,9 @@ def draw_picture(scene: Scene, view: View) -> Image:
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
-    """The colour scale of a deviation; None where there is none.
+    """The colour scale of a deviation; None without one.
 
-    Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
+    If nothing moved, the scale ends at one mean edge length: all colours are from its middle.
     """
     if scene.deviation is None:
         return None
@@ -233,8 +233,8 @@ def panel(
     *,
     colours_are: str = "map",
 ) -> Image:
-    """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay; see
-    ``shading.shade``."""
+    """(h, w, 3) uint8: one mesh with ``colours`` (n, 3) uint8 of its vertices, or of clay; see
+    ``rendering.shade``."""
     tallness = min(max(camera.half_height / camera.half_width, _MIN_TALLNESS), _MAX_TALLNESS)
     return shade(
         mesh.vertices,
@@ -249,13 +249,13 @@ def panel(
 
 
 def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The files' names without their folders, unless that makes them one."""
+    """The names of the files without folders, if they differ."""
     bare = tuple(os.path.basename(name) or name for name in names)
     return names if len(set(bare)) < len(bare) else bare
 
 
 def counts_text(scene: Scene, at: int) -> str:
-    """How large a mesh is, the one before or the one after: faces, and vertices that they use."""
+    """The size of a mesh, the one before or after: faces, and the vertices that they use."""
     mesh = scene.after if at and scene.after is not None else scene.before
     n_vertices = int(mesh.topology.has_ring.sum())
     return f"{format_count(len(mesh.faces), 'triangle')}, {format_count(n_vertices, 'vertex')}"
@@ -285,15 +285,15 @@ def _move(scene: Scene, deviation: Floats, edge: float) -> str:
     return f"{sizes.mean():.3g} e (mean), {sizes.max():.3g} e (max)"
 
 
-# What the colours of a deviation mean
+# Colour scales of deviations
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of a deviation mean.
+    """The colour scale of a deviation.
 
-    ``low`` and ``high`` in file units; numbers beyond them have the colours of the ends.  With a
-    sign, ``low`` is ``-high`` and the map has a pale middle.
+    ``low`` and ``high`` are in file units; numbers beyond them get the colours of the ends.  If
+    ``is_signed``, ``low`` is ``-high`` and the colour map has a pale middle.
     """
 
     low: float
@@ -302,15 +302,15 @@ class Scale:
 
     @property
     def map_name(self) -> str:
-        """The map of ``codecs.colours``."""
+        """The name of the colour map in ``codecs.colours``."""
         return "diverging" if self.is_signed else "sequential"
 
     def paint(self, values: Floats) -> NDArray[np.uint8]:
-        """(n, 3) colours of ``values`` (n,)."""
+        """The colours (n, 3) of ``values`` (n,)."""
         return map_colours(values, self.low, self.high, self.map_name)
 
     def legend(self, lines: tuple[str, ...], edge: float) -> Legend:
-        """The scale with five places in file units above, and in ``edge`` lengths below."""
+        """The legend: five ticks in file units above, and in units of ``edge`` below."""
         ticks = []
         for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             value = self.low + share * (self.high - self.low)
@@ -321,10 +321,10 @@ class Scale:
 def scale_of(
     values: Floats, *, is_signed: bool, rounding: float = 0.0, if_none: float = 1.0
 ) -> Scale:
-    """The scale for ``values`` (n,) in file units: up to the 99th percentile of their sizes,
-    rounded up to two digits.
+    """The scale for ``values`` (n,) in file units: up to the 99th percentile of their absolute
+    values, rounded up to two digits.
 
-    Where no size is above ``rounding`` it goes to ``if_none``.
+    If none of these is above ``rounding``, it ends at ``if_none``.
     """
     sizes = np.abs(values[np.isfinite(values)])
     largest = float(sizes.max(initial=0.0))
@@ -343,8 +343,8 @@ def _number_text(value: float) -> str:
     return f"{value:.3g}" if value else "0"
 
 
-# Colours of the file; what cannot be read of them is a note, never an error: a picture of clay is
-# better than none.
+# Colours of the files.  What cannot be read of them is a note, never an error: a picture without
+# colours is better than none.
 
 
 def open_coloured_surface(path: str, format: str | None = None) -> Surface:
@@ -352,14 +352,14 @@ def open_coloured_surface(path: str, format: str | None = None) -> Surface:
 
 
 def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
-    """The surface in an open file, which is at ``path``, with its colours."""
+    """The surface in an open file, with its colours; ``path`` is that of the file."""
     return replace(comparison.surface_of(mesh_file), colours=_read_colours(mesh_file, path))
 
 
 def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     try:
         colours = vertex_colours(mesh_file)
-    except Exception as failure:  # colours are an extra, and files come from strangers
+    except Exception as failure:  # colours are an extra, and files may come from anywhere
         _log.info("%s: no colours", path, exc_info=True)
         return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
     if colours is None:

@@ -1,6 +1,6 @@
-"""A mesh as an image: where it is looked at from, and clay under a lamp that shows its texture.
+"""Draw a mesh as an image: choose a camera, and light the surface so that its texture shows.
 
-Cameras are parallel projections, and all panels of a picture have the same.
+Cameras are parallel projections, and all panels of a picture have the same one.
 """
 
 import numpy as np
@@ -12,23 +12,23 @@ from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.kernels.welding import used_vertices
 from msal_cli.light_dataclass import dataclass
 
-# Where from
+# The camera
 
 MARGIN = 0.04
-"""Share of the picture's width and height that stays free on each side."""
+"""Share of the picture's width and height that is left free on each side."""
 
 _MAX_GUESS_FACES = 60_000
-"""Faces that a guess about up and front looks at."""
+"""Faces that are examined to guess up and front."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A parallel projection and what it shows."""
+    """A parallel projection, and the size of what it shows."""
 
     # (3, 3), rows: right, up and towards the eye, unit vectors in the mesh's coordinates
     axes: Floats
     centre: Floats  # (3,) the point in the middle of the picture
-    half_width: float  # half_width, half_height: of what must be seen, in the mesh's unit
+    half_width: float  # half_width, half_height: half the extent to show, in the mesh's unit
     half_height: float
 
     def seen(self, vertices: Floats) -> Floats:
@@ -36,7 +36,7 @@ class Camera:
         return np.ascontiguousarray((vertices - self.centre) @ self.axes.T)
 
     def pixels_per_unit(self, width: int, height: int) -> float:
-        """The scale at which all that must be seen fits, with a margin."""
+        """The scale at which all that must be visible fits, with a margin."""
         room = 1.0 - 2.0 * MARGIN
         return room * min(width / (2.0 * self.half_width), height / (2.0 * self.half_height))
 
@@ -64,7 +64,7 @@ _ANGLES = {
     "top": (0.0, 90.0),
     "bottom": (0.0, -90.0),
 }
-"""Degrees round to the right and up from the front."""
+"""Turn to the right and tilt upwards from the front, in degrees."""
 
 
 def choose_camera(
@@ -77,22 +77,22 @@ def choose_camera(
     up: str = "auto",
     also: Floats | None = None,
 ) -> Camera:
-    """The camera for a word, framing all vertices that have a face.
+    """The camera for a named view; all vertices that have a face are in the picture.
 
     Parameters
     ----------
     vertices : (n, 3); ``faces`` : (m, 3), at least one.
-    view : one of ``_ANGLES``, about the up and the front that the mesh seems to have; or ``auto``,
-        which looks at solids from the front, a little from the right and from above, and straight
-        at scans of one side and at reliefs.
-    turn_deg : more goes round to the mesh's right; None is 0, or what ``auto`` chose.
-    tilt_deg : more goes up; None likewise.
-    up : an axis with its sign, such as ``-y``, where the guess is wrong.
-    also : (k, 3) other points to be shown, such as the same mesh before.
+    view : one of ``_ANGLES``, relative to the guessed up and front; or ``auto``, which shows solids
+        from the front, a little from the right and from above, but scans of one side and reliefs
+        straight from the front.
+    turn_deg : more turns to the mesh's right; None is 0, or the choice of ``auto``.
+    tilt_deg : more tilts upwards; None likewise.
+    up : an axis with its sign, such as ``-y``, if the guess is wrong.
+    also : (k, 3) other points to show, such as the same mesh before.
     """
     stance = _with_up(_stance(vertices, faces), up)
     if view == "auto":
-        # What is given replaces the guess; it is added to a named view.
+        # Given angles replace the guess, but are added to a named view.
         turn = stance.turn_deg if turn_deg is None else turn_deg
         tilt = stance.tilt_deg if tilt_deg is None else tilt_deg
     else:
@@ -105,8 +105,8 @@ def choose_camera(
 
 
 def rotate(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
-    """(3, 3) axes of an eye that went round and up from ``front``; straight above it still knows
-    where the front is, which is at the bottom of its picture."""
+    """(3, 3) axes of an eye turned and tilted from ``front``; seen from straight above, the front
+    is at the bottom of the picture."""
     forward, right, upward = _frame(front, up)
     turn, tilt = np.radians([turn_deg, tilt_deg])
     ahead = np.cos(turn) * forward + np.sin(turn) * right
@@ -116,7 +116,7 @@ def rotate(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Float
 
 
 def _frame(front: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
-    """Unit vectors forward, to the right of who looks at it, and up; front and right are level."""
+    """Unit vectors forward, to the viewer's right, and up, perpendicular to each other."""
     upward = up / np.linalg.norm(up)
     forward = front - (front @ upward) * upward
     forward = forward / np.linalg.norm(forward)
@@ -125,7 +125,7 @@ def _frame(front: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class _Stance:
-    """The guessed pose of a mesh: (3,) directions, and the turn and tilt to look at it from."""
+    """The guessed pose of a mesh: directions (3,), and the turn and tilt of the view."""
 
     front: Floats
     up: Floats
@@ -134,31 +134,31 @@ class _Stance:
 
 
 _ONE_SIDED = 0.2
-"""Length of the mean normal above which a surface is a scan of one side; 0 if it is closed."""
+"""Length of the mean normal above which a surface is a one-sided scan; closed surfaces have 0."""
 
 _RELIEF = 0.3
-"""Least over middle extent along the principal axes, below which a solid is a plaque or a coin."""
+"""Ratio of the least to the middle extent along principal axes below which a solid is a relief."""
 
 _STANDS = 0.015
-"""Share of the area at one end of an axis, beyond that at the other end, that makes it the base."""
+"""Share of the area at one end of an axis, minus that at the other end, that makes it the base."""
 
 _STANDS_ON_HEAD = 0.1
-"""The same where the base would be what the file has on top, such as a cut-off head."""
+"""The same for a base at the top of the file's coordinates, such as a cut-off head."""
 
 _LIES = 0.62
-"""Height over breadth below which a thing lies flat and is looked at from higher up."""
+"""Ratio of height to breadth below which an object lies flat, and is seen from higher up."""
 
 _X, _Y, _Z = np.eye(3)
 
 
 def _stance(vertices: Floats, faces: Ints) -> _Stance:
-    """Up, front and view of a mesh at a guess.
+    """Guess up, front and view of a mesh.
 
-    Files have y or z upwards, few have neither.  A mesh with a base is shown on it; a flat one
-    lies on its broad side; the rest is upright.  With y upwards the front is +z, with z upwards -y,
-    as modellers and scanners do it, but things far longer that way are shown from their long side.
+    Files have y or z upwards, few have neither.  A mesh with a base stands on it; a flat one lies
+    on its broad side; all others are upright.  With y upwards the front is +z, with z upwards -y,
+    as modellers and scanners have it, but objects far longer that way show their long side.
     """
-    # Some of the faces suffice.
+    # A sample of the faces is enough.
     corner = vertices[faces[:: 1 + len(faces) // _MAX_GUESS_FACES]]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     areas = np.linalg.norm(doubled, axis=1)
@@ -178,26 +178,26 @@ def _stance(vertices: Floats, faces: Ints) -> _Stance:
 
 
 def _with_up(stance: _Stance, word: str) -> _Stance:
-    """The stance with the axis that ``word`` names upwards, and its front if that is level then."""
+    """The stance with the axis ``word`` upwards; the front changes if it is no longer level."""
     if word == "auto":
         return stance
     axis = np.eye(3)["xyz".index(word[-1])]
     up = -axis if word.startswith("-") else axis
     front = stance.front
     if abs(front @ up) > 0.9 * np.linalg.norm(front):
-        # What was thought to be upwards now looks at the eye.
+        # The direction that was taken for up now faces the viewer.
         front = stance.up if stance.up @ up == 0.0 else -_Y
     return _Stance(front, up, stance.turn_deg, stance.tilt_deg)
 
 
 def _one_sided(facing: Floats) -> _Stance:
-    """A scan of one side is looked at from where it looks."""
-    # A head from above is still no picture of something that lies on its back.
+    """A one-sided scan is seen from the side that it faces."""
+    # A head seen from above is still not an object that lies on its back.
     is_upward = abs(facing[1]) > abs(facing[2]) + 0.5 * np.linalg.norm(facing)
     nearest = _nearest_axis(facing)
     up = _Z if is_upward or nearest[0] else _Y
     if nearest[2] < 0.0:
-        # Depth cameras look along z with y downwards, so that what they see faces -z.
+        # Depth cameras look along z with y downwards, so the surface that they see faces -z.
         up = -_Y
     front, _, _ = _frame(facing, up)
     axis = _nearest_axis(front)
@@ -206,19 +206,19 @@ def _one_sided(facing: Floats) -> _Stance:
 
 
 def _relief(thin: Floats, doubled: Floats, areas: Floats) -> _Stance:
-    """A plaque is looked at from the side that has more to show."""
+    """A relief is seen from the side that has more detail."""
     lean = doubled @ thin / np.maximum(areas, 1e-300)
     shown = [float((areas * (1.0 - lean**2))[sign * lean > 0.2].sum()) for sign in (1.0, -1.0)]
     front = thin if shown[0] >= shown[1] else -thin
     axis = _nearest_axis(front)
     front = axis if front @ axis > np.cos(np.radians(15.0)) else front
-    # Up is y, but z for what faces along y, or along x.
+    # Up is y, but z if the relief faces along y or x.
     up = _Y if abs(front[2]) >= max(abs(front[0]), abs(front[1])) else _Z
     return _Stance(front, up)
 
 
 def _solid(centres: Floats, areas: Floats) -> _Stance:
-    """Anything else is looked at from the front right, from above the more the flatter it is."""
+    """A solid is seen from the front right and from above, the more the flatter it is."""
     low, high = centres.min(axis=0), centres.max(axis=0)
     extent = np.maximum(high - low, 1e-300)
     place = (centres - low) / extent
@@ -251,14 +251,14 @@ def _nearest_axis(direction: Floats) -> Floats:
     return axis
 
 
-# Clay under a lamp
+# Lighting
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 WHITE, CLAY, INSIDE = (255, 255, 255), (196, 190, 182), (122, 138, 160)
-"""Colours, (red, green, blue) in 0 to 255: behind the mesh, of the side of a surface that looks
-outwards, and of the other one, which open scans show."""
+"""Colours, (red, green, blue) in 0 to 255: of the background, of the outer side of a surface, and
+of its inner side, which is visible in open scans."""
 
 _LAMPS = (
     ((-0.56, 0.60, 0.57), 1.00, 0.20),
@@ -266,13 +266,13 @@ _LAMPS = (
     ((0.10, -0.90, 0.30), 0.14, 0.50),
 )
 # Ambient light, light at edges, gloss, its sharpness; then the lamps, each with the direction
-# towards it (right, up, towards the eye), its strength and how far it reaches round.
+# towards it (right, up, towards the eye), its strength, and how far it wraps around the surface.
 _LIGHTS = {
     "clay": ((0.12, 0.14, 0.08, 24.0), _LAMPS),
-    # Colours that mean numbers keep their tone: more light from everywhere, no gloss.
+    # Colours that stand for numbers keep their tone: more ambient light, no gloss.
     "map": ((0.56, 0.0, 0.0, 1.0), (((-0.55, 0.58, 0.60), 0.58, 0.30),)),
-    # Colours of the file are lit as clay is, with less gloss and more light from everywhere,
-    # because they may be dark.
+    # Colours of the file are lit like clay, with less gloss and more ambient light, because they
+    # may be dark.
     "paint": (
         (0.24, 0.05, 0.02, 24.0),
         tuple((towards, 0.72 * strength, reach) for towards, strength, reach in _LAMPS),
@@ -285,13 +285,13 @@ SAMPLES = 2
 """Samples along each side of a pixel."""
 
 _HOLLOWS = ((0.008, 0.32), (0.022, 0.45), (0.055, 0.45))
-"""How far round to look for what hides the sky, in picture sides, and how much that darkens."""
+"""Radii for ambient occlusion, in picture sides, and how much each one darkens."""
 
 _UNNOTICED = 0.03
-"""Share of that reach by which what is around does not count: facets of a round wall are so far."""
+"""Share of the radius by which occluders are ignored: the facets of a round wall differ so much."""
 
 _DIRECTIONS = 8
-"""Lines through a pixel on which to look."""
+"""Lines through a pixel along which occluders are sampled."""
 
 
 def shade(
@@ -311,12 +311,12 @@ def shade(
     Parameters
     ----------
     vertices : (n, 3) in any unit; ``faces`` : (m, 3) integers, counter-clockwise from outside.
-    camera : where from; it shows all that it was made for at any ``width`` and ``height``.
-    colours : (n, 3) uint8, one for each vertex; None for clay, with the insides in another tone.
-    crease_deg : edges that turn by more stay sharp, by less than half of it are round; 0 shows
+    camera : the viewpoint; it shows all that it was made for at any ``width`` and ``height``.
+    colours : (n, 3) uint8, one per vertex; None for clay, with the insides in another tone.
+    crease_deg : edges with a larger angle stay sharp, below half of it they are smooth; 0 shows
         each face flat.
-    colours_are : ``map`` for colours that mean numbers and keep their tone, ``paint`` for the
-        object's own, which get more of the light and shadow.
+    colours_are : ``map`` for colours that stand for numbers and keep their tone, ``paint`` for the
+        object's own, which get more light and shadow.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -342,7 +342,7 @@ def shade(
     sums, depth = z_buffer.light_samples(
         SAMPLES, points, faces, nearness, front, normals, paint, inside, np.array(rows)
     )
-    # Colours 0 to 255 times the share of each pixel that shows the mesh, and that share.
+    # The colour, 0 to 255, times the share of each pixel that shows the mesh, and that share.
     lit, covered = sums[..., :3], sums[..., 3]
     open_sky = _open_sky(depth / np.float32(SAMPLES), covered)
     if colours_are == "map":
@@ -354,21 +354,21 @@ def shade(
 
 
 def _is_inside_out(vertices: Floats, faces: Ints) -> bool:
-    """Whether a closed surface is wound so that all of its normals look inwards."""
+    """Whether a closed surface is wound so that all of its normals point inwards."""
     normals, areas = face_normals_and_areas(vertices, faces)
     total = float(areas.sum())
-    # Over a closed surface the normals, weighted by area, add up to nothing.
+    # The normals of a closed surface, weighted by area, add up to zero.
     if np.linalg.norm(areas @ normals) > 0.01 * total:
         return False
     return area_and_volume(vertices - vertices.mean(axis=0), faces)[1] < 0.0
 
 
 def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
-    """(h, w) 0 to 1: how little of what is around each pixel is in front of it.
+    """Ambient occlusion (h, w), 0 to 1: 1 where nothing around a pixel is in front of it.
 
-    ``depth`` is the nearness to the eye in pixels, 0 where nothing is.  Looks at the mean of two
-    points on opposite sides of each pixel, which is before it in a hollow and beside a wall, but
-    not on a plane, however it is tilted.  Where one of them shows nothing there is sky.
+    ``depth`` is the nearness to the eye in pixels, 0 for the background.  The mean of two points on
+    opposite sides of a pixel is in front of it in a hollow and beside a wall, but not on a plane of
+    any slope.  If one of them is background, that direction counts as open.
     """
     open_sky = np.ones(depth.shape, dtype=np.float32)
     height, width = depth.shape
@@ -388,7 +388,7 @@ def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
             before: Floats32 = np.float32(0.5) * (around[near] + around[far]) - depth
             counted = np.clip(before - np.float32(_UNNOTICED * radius), 0.0, radius)
             hidden += counted * (is_there[near] & is_there[far])
-        # A few lines alone would leave copies of every outline.
+        # Without blurring, the few lines would leave copies of every outline.
         soft = max(1, radius // 4)
         seen = np.maximum(_blur(inside, soft), np.float32(1e-6))
         share = _blur(hidden, soft) * inside / seen
@@ -398,7 +398,7 @@ def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
 
 
 def _blur(image: Floats32, radius: int) -> Floats32:
-    """Mean over squares of ``2 radius + 1`` pixels; beyond the border there are zeros."""
+    """The mean over squares of ``2 radius + 1`` pixels, with zeros beyond the border."""
     side = 2 * radius + 1
     height, width = image.shape
     sums = np.cumsum(np.pad(image, ((radius + 1, radius), (0, 0))), axis=0, dtype=np.float64)

@@ -1,11 +1,11 @@
-"""Two meshes as a few bytes per face: what the viewer's script unpacks (assets/decoding.js).
+"""One or two meshes in a few bytes per face; the viewer's script decodes it (assets/decoding.js).
 
-    base64( deflate( length of the header, 4 bytes, low first | header, JSON | planes of bytes ) )
+    base64( deflate( length of header, uint32 little-endian | header, JSON | planes of bytes ) )
 
-Faces are put in an order in which neighbours follow one another, and vertices in that of their
-first use.  So a corner is coded as how long ago its vertex was new (0: now), and a position as the
-way from the vertex before, in whole steps of a grid.  Each number is cut into bytes, and all lowest
-bytes come first, then all second ones: deflate finds more in them that way.
+Faces are sorted so that neighbours follow one another, and vertices by their first use.  A corner
+is coded as its vertex's age: how many vertices ago it was first used (0: it is new).  A position is
+the step from the vertex before on a grid of whole numbers.  Numbers are split into bytes, and
+stored as a plane of lowest bytes, one of second bytes and so on: deflate compresses that better.
 """
 
 import base64
@@ -27,24 +27,24 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 MAX_FACES = 200_000
-"""Faces of one mesh that a page holds; more are decimated."""
+"""Faces of one mesh on a page; larger meshes are decimated."""
 
 STEPS_PER_EDGE = 256
-"""Steps of the grid in a mean edge length, so that rounding turns a normal by some 0.1 degrees."""
+"""Grid steps per mean edge length: rounding to the grid turns a normal by about 0.1 degrees."""
 
 _MAX_STEPS = (1 << 22) - 1
-"""Steps along the longest side: what float32 holds exactly, with room for sums."""
+"""Grid steps along the longest side: exact in float32, with room for sums."""
 
 _DEVIATION_STEPS = 65535
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """What is drawn, as text."""
+    """A scene as text."""
 
-    text: str  # base64, letters that mean nothing in HTML or JSON
+    text: str  # base64: characters without a special meaning in HTML or JSON
     counts: tuple[tuple[int, int], ...]  # faces of each mesh in its file, and on the page
-    # the largest distance by which the page shows a coordinate off its place, file units
+    # the largest rounding error of a coordinate on the page, file units
     rounding: float
 
 
@@ -58,19 +58,19 @@ def encode_scene(
     colours: Sequence[NDArray[np.uint8] | None] = (),
     max_faces: int = MAX_FACES,
 ) -> EncodedScene:
-    """One scene.
+    """Encode one scene.
 
     Parameters
     ----------
-    before, after : finite meshes in one coordinate system.  Where their faces are the same, they
-        are coarsened as one, and share their faces on the page.
-    deviation : (n,) one number in file units for each vertex of ``after`` (of ``before`` if that is
-        all there is); not-a-number where there is none.
-    ends : of the colour scale, file units; two of opposite sign get the diverging map. None is
+    before, after : finite meshes in one coordinate system.  If their faces are the same, they are
+        decimated alike, and share their faces on the page.
+    deviation : (n,) a number in file units for each vertex of ``after`` (of ``before`` if there is
+        only that); NaN where it is unknown.
+    ends : of the colour scale, file units; two of opposite sign select the diverging map.  None
         for meshes without a deviation.
     view : (3, 3) rotation from the model to right, up, towards the eye, at the start.
-    colours : (n, 3) of the vertices of each mesh, None or left out where it has none.
-    max_faces : beyond this a mesh is coarsened.
+    colours : (n, 3) of the vertices of each mesh; None, or left out, if it has none.
+    max_faces : a larger mesh is decimated.
     """
     shares = (
         after is not None
@@ -89,7 +89,7 @@ def encode_scene(
         kept = stays[order]
         ticks = _ticks(mesh.vertices[kept], low, step)
         steps = np.diff(ticks, axis=0, prepend=0)
-        # How long ago the vertex of each corner was new: 0 for a new one.
+        # The age of the vertex of each corner; 0 for a new one.
         flat = faces.reshape(-1).astype(np.int64)
         newest = np.maximum.accumulate(flat)
         ages = np.concatenate([[0], newest[:-1] + 1]) - flat
@@ -125,8 +125,8 @@ def encode_scene(
 
 
 def _grid(before: Mesh, after: Mesh | None, ends: Floats) -> tuple[Floats, float]:
-    """The corner and the step of a grid that both meshes are rounded to; ``ends`` (k, 2, 3) are
-    those of edges that are drawn."""
+    """The origin and the step of the grid for both meshes; ``ends`` (k, 2, 3) are those of edges
+    that are drawn."""
     points = np.concatenate([used_vertices(mesh) for mesh in (before, after) if mesh is not None])
     low, extent = points.min(axis=0), float(np.ptp(points, axis=0).max())
     if extent == 0.0:
@@ -154,12 +154,12 @@ def _order(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
 
 
 def _zigzag(numbers: Longs) -> Longs:
-    """Small whole numbers of either sign as small ones without."""
+    """Map small signed whole numbers to small ones without sign (zigzag coding)."""
     return (numbers << 1) ^ (numbers >> 63)
 
 
 def _planes(numbers: Longs, count: int) -> list[bytes]:
-    """The ``count`` lowest bytes of (n,) or (n, k) numbers, all of one rank and column together."""
+    """The ``count`` lowest bytes of (n,) or (n, k) numbers, one plane per column and byte."""
     columns = numbers.reshape(len(numbers), -1).T
     return [
         np.ascontiguousarray((column >> (8 * rank)) & 255).astype(np.uint8).tobytes()
@@ -171,7 +171,7 @@ def _planes(numbers: Longs, count: int) -> list[bytes]:
 def _deviation(
     values: Floats, kept: Ints, ends: tuple[float, float]
 ) -> tuple[dict[str, object], list[bytes]]:
-    """The colour scale of the deviations, and the kept ones in 65,535 steps over their range."""
+    """The colour scale, and the deviations of kept vertices in 65,535 steps over their range."""
     is_finite = np.isfinite(values)
     finite = values[is_finite] if is_finite.any() else np.zeros(1)
     least, most = float(finite.min()), float(finite.max())
@@ -191,37 +191,37 @@ def _deviation(
     return scale, _planes(steps.astype(np.int64), 2)
 
 
-# Decimation: a coarser mesh to look at, where the whole one would be too much for a page
+# Decimation: a coarser mesh where the whole one would be too large for a page
 #
 # Short edges are contracted to one of their ends, many at a time, until few enough faces are left.
-# A vertex that stays keeps its place: a mean of places would take away noise, and the picture of a
-# noisy mesh would flatter it.
+# Vertices that stay keep their positions: means of positions would reduce noise, and noisy meshes
+# would look better than they are.
 
 
 _MIN_COSINE = 0.25
-"""Of the angle by which a face may turn when an edge beside it is contracted."""
+"""Least cosine of the angle by which a contraction may turn a face."""
 
 _CHECKS = 3
-"""Times that contractions are checked against one another; what still fails then is left."""
+"""Times that contractions are checked against one another; those that still fail are undone."""
 
 _STALLED = 0.12
-"""Share of the faces that a round must take away; after a poorer one faces may turn over, which
-happens only where the noise is larger than the edges and the surface is folded anyhow."""
+"""Share of the faces that a round must remove.  After a worse one faces may turn over, which occurs
+only where the noise is larger than the edges and the surface is folded anyway."""
 
 _ROUNDS = 60
 
 _PASSES = 3
-"""Times that the vertices which are in no pair yet are paired in one round."""
+"""Times per round that vertices without a partner are paired."""
 
 _TAKEN = -2
 
 
 def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
-    """The vertices (k,) that stay, in rising order, and faces (j, 3) int32 of places among them:
-    as many faces as there may be, at most ``max_faces`` where that can be reached.
+    """Decimate a mesh: the vertices (k,) that stay, in ascending order, and faces (j, 3) int32 as
+    indices into these, at most ``max_faces`` if that can be reached.
 
-    ``vertices`` (n, 3) finite, ``faces`` (m, 3).  Faces that contractions put on one another are
-    left out but for the first.  What has few enough faces keeps all of them.
+    ``vertices`` (n, 3) are finite, ``faces`` (m, 3).  Of faces that contractions make equal the
+    first stays.  A mesh with few enough faces keeps all of them.
     """
     left = faces
     if len(left) > max_faces:
@@ -235,7 +235,7 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
         is_checked = is_checked and len(left) - len(fewer) >= min(excess, _STALLED * len(left))
         left = fewer
     if len(left) < len(faces):
-        # Each set of corners but once.
+        # Keep one face for each set of corners.
         _, first = np.unique(np.sort(left, axis=1), axis=0, return_index=True)
         left = left[np.sort(first)]
     kept, flat = np.unique(left, return_inverse=True)
@@ -243,12 +243,12 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
 
 
 def _round(vertices: Floats, faces: Ints, excess: int, *, is_checked: bool) -> Ints:
-    """The faces after one round, which takes away not many more than ``excess``."""
+    """The faces after one round, which removes not many more than ``excess``."""
     stays, goes = _pairs(vertices, faces)
-    # Two faces to an edge inside; the last round stops where it should.
+    # An inner edge has two faces, so half as many contractions are enough.
     few = (excess + 1) // 2
     stays, goes = stays[:few], goes[:few]
-    # What is on a boundary does not move inwards: a scan would shrink at its holes.
+    # Vertices on a boundary do not move inwards: a scan would shrink at its holes.
     is_rim = _on_boundary(len(vertices), faces)
     outward = is_rim[goes] & ~is_rim[stays]
     stays[outward], goes[outward] = goes[outward], stays[outward].copy()
@@ -265,7 +265,7 @@ def _round(vertices: Floats, faces: Ints, excess: int, *, is_checked: bool) -> I
             moved[goes[failed]] = goes[failed]
             pair[goes[failed]] = -1
             if check == 0:
-                # What one end cannot do, the other may.
+                # If contracting to one end fails, try the other end.
                 failed = failed[is_rim[goes[failed]] == is_rim[stays[failed]]]
                 goes[failed], stays[failed] = stays[failed], goes[failed].copy()
                 moved[goes[failed]] = stays[failed]
@@ -278,9 +278,9 @@ def _round(vertices: Floats, faces: Ints, excess: int, *, is_checked: bool) -> I
 
 
 def _pairs(vertices: Floats, faces: Ints) -> tuple[Ints, Ints]:
-    """Ends of short edges, each vertex in one pair at most; the shortest first, by and large."""
+    """The ends of short edges, roughly the shortest first; each vertex is in at most one pair."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    # An edge between two faces is met in both directions: once is enough.
+    # An edge between two faces occurs in both directions: one is enough.
     low, high = sides[sides[:, 0] < sides[:, 1]].T
     gaps = vertices[low] - vertices[high]
     order = np.argsort((gaps * gaps).sum(axis=1), kind="stable")
@@ -288,7 +288,7 @@ def _pairs(vertices: Floats, faces: Ints) -> tuple[Ints, Ints]:
     stays, goes = [], []
     shortest = np.full(len(vertices), -1)
     for _ in range(_PASSES):
-        # Written from the longest to the shortest, so that the shortest remains.
+        # Written from the longest to the shortest, so that the shortest edge remains.
         ranks = np.arange(len(low))
         both = np.stack([low, high], axis=1)[::-1].reshape(-1)
         shortest[both] = np.repeat(ranks[::-1], 2)
@@ -304,8 +304,8 @@ def _pairs(vertices: Floats, faces: Ints) -> tuple[Ints, Ints]:
 def _on_boundary(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
     """Whether the faces around each vertex leave a gap.
 
-    Numbers of the neighbours add up to nothing around a closed fan, where each is once the next
-    and once the last corner, and to the last less the first one of an open fan.
+    In a closed fan, where each neighbour is once the next and once the last corner, the differences
+    of their numbers add up to zero; in an open fan to the last number minus the first.
     """
     sums = np.zeros(n_vertices)
     for k in range(3):
@@ -316,7 +316,7 @@ def _on_boundary(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
 
 
 def _turn(vertices: Floats, faces: Ints, moved: Ints) -> Ints:
-    """Corners of the faces that would turn too far, or become needles."""
+    """Corners of faces that would turn too far, or become needles."""
     after = moved[faces]
     is_changed = (after != faces).any(axis=1) & ~repeated_corners(after)
     faces = faces[is_changed]

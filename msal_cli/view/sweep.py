@@ -1,8 +1,5 @@
-"""One mesh denoised with every pair of values of two parameters, and by what msal chooses: numbers
-and pictures.
-
-The bracket behind ``msal sweep``.
-"""
+"""The numbers and the picture of ``msal sweep``: one mesh denoised with every pair of values of two
+parameters, and as msal chooses."""
 
 import itertools
 import math
@@ -38,11 +35,11 @@ from msal_cli.view.rendering import WHITE, Camera, Image
 MAX_CELLS = 100
 
 USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
-"""What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
-a parameter that the method does not have is left out."""
+"""The default for rows and columns, as in Fig. 6 of the paper; a parameter that the method does not
+have is left out."""
 
 CHOICES = {"plain": (ADAPTIVE, ()), "auto": (AUTO, ("--auto",))}
-"""What msal itself chooses: the method, and the options of ``msal denoise`` that ask for it."""
+"""Choices of msal itself: the method, and the options of ``msal denoise`` that select it."""
 
 _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
 
@@ -54,12 +51,12 @@ Filter = tuple[Method | None, Mapping[str, Any]]
 class Cell:
     """The numbers of one denoised mesh."""
 
-    parameters: dict[str, Any]  # what differs from cell to cell; of a choice all parameters
+    parameters: dict[str, Any]  # those that vary between cells; of a choice all
     command: str  # the command line that makes the mesh; OUT is the file to write
     # mean_displacement, mean_displacement_edges: in file units and in mean edge lengths
     mean_displacement: float
     mean_displacement_edges: float
-    volume_change_percent: float | None  # None where the mesh has no volume
+    volume_change_percent: float | None  # None if the mesh has no volume
     mean_angular_error_deg: float | None  # against the reference; None without one
     choice: str = ""  # of ``CHOICES``; empty for a cell of the grid
     # estimated distance from the true surface, mean edge lengths; None if unknown
@@ -68,15 +65,15 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """What is to be tried on a mesh."""
+    """The parameters to try on a mesh."""
 
     method: Method  # of ``methods``
     fixed: Mapping[str, object]  # parameters that are the same in all cells
-    # the values of what varies by name: along rows and columns, or along columns only
+    # the values of varying parameters by name: along rows and columns, or along columns only
     axes: Mapping[str, tuple[Any, ...]]
 
     def settings(self) -> Iterator[dict[str, Any]]:
-        """What varies, for each cell, row by row."""
+        """The varying parameters of each cell, row by row."""
         for values in itertools.product(*self.axes.values()):
             yield dict(zip(self.axes, values, strict=True))
 
@@ -84,9 +81,9 @@ class Grid:
 def grid(
     method: Method, rows: str | None, columns: str | None, fixed: Mapping[str, object]
 ) -> Grid:
-    """What the words of a command line ask for; ``USUAL`` where neither axis is given.
+    """The grid for the texts of a command line; ``USUAL`` if neither axis is given.
 
-    UsageError for what is wrong in them, a parameter in two places, and too many cells.
+    Raises UsageError for invalid texts, a parameter that is given twice, and too many cells.
     """
     if rows is None and columns is None:
         known = {spec.name for spec in method.parameters}
@@ -127,7 +124,7 @@ def grid(
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The mesh that is denoised, the reference in its place if there is one, and one camera."""
+    """The mesh to denoise, the reference in the same place (None without one), and the camera."""
 
     name: str
     ready: PreparedMesh
@@ -139,8 +136,8 @@ class Subject:
 def subject(
     surface: Surface, name: str, reference: Surface | None, reference_name: str, view: View
 ) -> Subject:
-    """Make a mesh ready to be denoised and drawn; ContentError for a file without a surface, and a
-    reference with other faces."""
+    """Prepare a mesh for denoising and drawing; ContentError for a file without a surface, and for
+    a reference with other faces."""
     ready = prepare_mesh(surface, name)
     truth = None
     if reference is not None:
@@ -157,7 +154,7 @@ def subject(
 
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh, Filter]]:
-    """The numbers and the mesh of each cell, row by row, one after the other, and what made it."""
+    """The numbers, the mesh and the filter of each cell, row by row, as they are made."""
     mesh = on.ready.mesh
     for chosen in wanted.settings():
         parameters = wanted.method.validate({**wanted.fixed, **chosen})
@@ -170,7 +167,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh, Filter]]:
 
 
 def choice_cells(on: Subject, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh, Filter]]:
-    """The same of each of ``CHOICES``, for the mesh in an open file."""
+    """As ``cells``, for each of ``CHOICES`` and the mesh in an open file."""
     for choice, (name, words) in CHOICES.items():
         run = FileRun(on.name, Settings(name))
         moved = at_other_positions(on.ready, run.move_vertices(mesh_file))
@@ -207,24 +204,24 @@ def _measure(
 
 
 RISK, ANGLE = "risk_edges", "mean_angular_error_deg"
-"""By what a result is near to the true surface: the estimate, or a reference."""
+"""Figures that say how near a result is to the true surface: estimated, or by a reference."""
 
 
 def find_nearest(cells: Sequence[Cell], figure: str) -> Cell | None:
-    """The cell whose ``figure`` (``RISK`` or ``ANGLE``) is the least; None where none has one."""
+    """The cell whose ``figure`` (``RISK`` or ``ANGLE``) is the least; None if no cell has it."""
     rated = [cell for cell in cells if getattr(cell, figure) is not None]
     return min(rated, key=operator.attrgetter(figure), default=None)
 
 
 def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: View) -> Image:
-    """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
-    numbers.  ``done`` has the cells of the grid and those of choices."""
+    """(H, W, 3) uint8: on the left the input, the choices and the reference, then the grid with its
+    numbers.  ``done`` contains the cells of the grid and of the choices."""
     title = pictures.titles_of((on.name,))[0]
     nearest, least = (find_nearest([cell for cell, _ in done], by) for by in (RISK, ANGLE))
     sides: list[Panel] = [(pictures.panel(on.ready.mesh, on.camera, view), title, ["input"])]
     cells: list[Panel] = []
     for cell, image in done:
-        # What comes after OUT; the rest is the same for all and is in the footer.
+        # The options after OUT; the rest of the command is the same for all, and in the footer.
         options = cell.command.partition(" -o OUT ")[2].replace(" -", "  -")
         lines = [*describe_numbers(cell), *filter(None, [options])]
         words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
@@ -254,12 +251,12 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
 
 
 def _plain(value: object) -> str:
-    """A value as people write it: 1, not 1.0."""
+    """A value as text, without a trailing ``.0``."""
     return str(value).removesuffix(".0")
 
 
 def describe_numbers(cell: Cell) -> list[str]:
-    """How far vertices moved, and how far the result is from the truth, as far as that is known."""
+    """Text: how far vertices moved and, if known, how far the result is from the truth."""
     moved = [f"moved {cell.mean_displacement_edges:.3g} e"]
     if cell.volume_change_percent is not None:
         moved.append(f"volume {cell.volume_change_percent:+.2g} %")
