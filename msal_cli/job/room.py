@@ -273,7 +273,8 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         # A closed surface has half as many vertices as facets, once its corners are welded.
         n = expected.faces // 2
     if n is None and size is not None:
-        n = size * (_PACKED if task.input.lower().endswith(".gz") else 1) // _BYTES_PER_VERTEX
+        plain_size = size * (_PACKED if task.input.lower().endswith(".gz") else 1)
+        n = int(float(f"{plain_size / _BYTES_PER_VERTEX:.2g}"))
     try:
         if not is_url(task.input):
             counted = _check_header(task.input, settings.format)

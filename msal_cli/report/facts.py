@@ -163,6 +163,7 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
             ("Hausdorff", figure(reference.hausdorff_edges, ".3g", " mean edge lengths")),
         )
         text = ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
+        text = f"other faces: {text}" if reference.correspondence == "surface" else text
         yield Fact("reference", f"{text} ({file_name(reference.path)})")
         for warning in reference.warnings:
             yield Fact("warning", warning, "bad", ATTENTION)
@@ -488,8 +489,9 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
         texts.append(f"unsure: {readings_text(noise)}")
     if noise.negligible:
         is_wanted = isinstance(record, MeshRecord) and is_filtered(record)
-        words = "none for sure" if noise.unsure else "none to speak of"
-        words = "hardly any, filtered all the same" if is_wanted else words
+        words = "it is unsure whether there is any" if noise.unsure else "none to speak of"
+        if is_wanted:
+            words = f"{words if noise.unsure else 'hardly any'}, filtered all the same"
         return [f"{level}: {words}", *texts]
     if noise.words:
         texts.append(f"{100.0 * noise.confidence:.0f} % sure: {noise.basis}")

@@ -67,9 +67,10 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
             planned, cost = record.planned or Planned(), []
             if planned.bytes is not None:
                 cost.append(f"{planned.bytes / 1e3:,.1f} kB")
-            cost.append(format_count(planned.vertices, "vertex"))
+            if planned.vertices is not None:
+                cost.append(f"about {format_count(planned.vertices, 'vertex')}")
             if planned.seconds is not None:
-                cost.append(f"about {facts.seconds_text(planned.seconds)}")
+                cost.append(facts.seconds_text(planned.seconds))
             if planned.scratch_bytes is not None and planned.memory_bytes is not None:
                 memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
                 cost.append(f"with {memory} of memory and {scratch} of scratch space")

@@ -84,7 +84,7 @@ def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
     made = msal("denoise", mixed, "-o", output, "--dry-run", "--report", tmp_path / "r.json")
     assert made.exit_code == 3
     assert f"{mixed / 'closed.ply'} -> {output / 'closed.ply'}: " in made.stdout
-    assert "576 vertices, about 0.17 s" in made.stdout
+    assert "about 576 vertices, 0.17 s" in made.stdout
     assert "bad.ply: " in made.stdout and "(E_INDEX)" in made.stdout
     sums, error, _, last = made.stderr.splitlines()[-4:]
     assert sums.startswith("2 files to denoise, ") and sums.endswith(" s on an idle machine")
