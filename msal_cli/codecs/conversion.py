@@ -154,6 +154,9 @@ def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[s
         and not (colours is not None and _COLOUR_PROPERTIES.match(prop))
         and not (has_normals and _NORMAL_PROPERTIES.match(prop) and to in ("ply", "obj", "stl"))
     ]
+    # OBJ has three numbers for a colour.
+    if to == "obj" and colours is not None and (colours[:, 3:] < 255).any():
+        losses.append("alpha of the vertex colours")
     faces = mesh_file.faces
     polygons: list[Any] | Ints | None = None
     if mesh_file.n_polygons != len(faces):

@@ -116,17 +116,16 @@ class TestOddTrees:
 
     def test_a_folder_that_the_system_refuses_to_list_is_not_skipped(self, tmp_path, monkeypatch):
         make_files(tmp_path, "a.ply", "locked/b.ply")
-        real, locked = os.scandir, str(tmp_path / "locked")
-        file = f"{locked}/b.ply"
-        monkeypatch.setattr(os, "scandir", lambda path: real(file if path == locked else path))
+        real, bad = os.scandir, str(tmp_path / "locked")
+        monkeypatch.setattr(os, "scandir", lambda path: real([path, f"{bad}/b.ply"][path == bad]))
         with pytest.raises(UsageError, match=r"locked' cannot be listed: Not a directory"):
             relatives(tmp_path)
         assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
         failures = []
         assert relatives(tmp_path, failures=failures) == ["a.ply"]
-        assert [(error.code, error.path) for error in failures] == [("E_READ", locked)]
+        assert [(error.code, error.path) for error in failures] == [("E_READ", bad)]
         with pytest.raises(UsageError, match="cannot be listed"):
-            relatives(locked, failures=[])
+            relatives(bad, failures=[])
 
 
 GLOBS = "s/one/a.ply s/two/b.ply s/c.ply s/one/d.txt"

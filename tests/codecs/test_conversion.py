@@ -146,8 +146,12 @@ def test_everything_else_is_named():
     text = text.replace(b"f 1 3 4", b"f 1/1 3/1 4/1")
     source = open_mesh(text, "a.obj")
     _, losses = convert(source, source.vertices, "ply")
-    assert set(losses) == set(source.properties)
-    assert {"texture coordinates", "materials", "groups"} <= set(losses)
+    assert set(losses) == {"texture coordinates", "materials", "groups", "smoothing groups"}
+    for alpha, lost in (255, ()), (7, ("alpha of the vertex colours",)):
+        names = [*XYZ, "uchar red", "uchar green", "uchar blue", "uchar alpha"]
+        data = to_ascii_ply(names, [f"{x} {x * x} 0 1 2 3 {alpha}" for x in range(3)])
+        source = open_mesh(data, "a.ply")
+        assert convert(source, source.vertices, "obj")[1] == lost
 
 
 def test_digits_that_float32_ruins_are_named():
