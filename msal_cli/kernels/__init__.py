@@ -1,4 +1,4 @@
-"""Arrays in, new arrays out: connectivity, geometry, operators and the kernels below them.
+"""Functions from arrays to new arrays: connectivity, geometry, operators and kernels.
 
 Kernels are machine code, loaded from one library at their first call (see ``library``).
 """

@@ -1,11 +1,9 @@
-"""Memory of large arrays: kept for the next ones, or in files without a name, so that the system
-moves them in and out of memory.
+"""Memory for large arrays: reused from freed ones, or mapped from unnamed files to save memory.
 
-numpy asks an allocator of ours (NEP 49, ``kernel_build/array_files.c``) for the memory of its
-arrays, and so do kernels for theirs.  In files, that of a large one is a mapped file of a scratch
-folder that no other user can open, whose space is taken at once, and which ends with its array or
-the process.
-The functions that compute are the same, and so are the bytes.
+numpy takes the memory of its arrays from our allocator (NEP 49, ``kernel_build/array_files.c``),
+and so do kernels.  With files, the memory of a large array is a mapped file in a scratch folder,
+which no other user can open.  Its disk space is reserved at once, and freed with the array or at
+the end of the process.  The functions that compute are the same, and so are the bytes.
 """
 
 import ctypes
@@ -21,7 +19,7 @@ from typing import Any, NamedTuple
 from msal_cli.kernels.library import open_library
 
 _SET_HANDLER = 304
-"""The place of ``PyDataMem_SetHandler`` in numpy's table of functions, the same since 1.22."""
+"""Index of ``PyDataMem_SetHandler`` in numpy's table of functions, the same since 1.22."""
 
 _lock = threading.Lock()
 _users = 0
@@ -29,8 +27,7 @@ _keepers = 0
 
 
 class Scratch(NamedTuple):
-    """What arrays in files take now and have taken at most, in bytes, and why the last one was
-    refused (``errno``; 0 if none was)."""
+    """Current and peak size of arrays in files, bytes, and ``errno`` of the last failure or 0."""
 
     current_bytes: int
     peak_bytes: int
@@ -38,22 +35,22 @@ class Scratch(NamedTuple):
 
 
 def can_use_files() -> bool:
-    """Whether arrays can live in files here."""
+    """Whether this system supports arrays in files."""
     return sys.platform.startswith("linux") and sys.byteorder == "little"
 
 
 def are_used() -> bool:
-    """Whether large arrays of this process live in files now."""
+    """Whether large arrays of this process are in files now."""
     return _users > 0
 
 
 @contextmanager
 def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
-    """Have arrays of ``smallest`` bytes and more, which are made in this thread and by kernels,
-    live in files of a folder.
+    """Keep arrays of ``smallest`` bytes and more, made by this thread and kernels, in files of a
+    folder.
 
-    The first folder counts where several calls are at work in one process.  Raises OSError where
-    it cannot be opened.
+    If several calls are active in one process, the folder of the first is used.  Raises OSError if
+    that fails.
     """
     global _users
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -76,10 +73,10 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
 
 @contextmanager
 def kept_memory() -> Iterator[None]:
-    """Have large arrays, which are made in this thread and by kernels, take memory of those that
-    have ended: what the system gives has to be cleared first, and it may take long to find.
+    """Reuse the memory of freed large arrays for new ones, in this thread and in kernels: new
+    memory has to be cleared first by the system, and may be slow to get.
 
-    With the arrays it is no more than these have taken, and at the end it is released.
+    In total no more memory is used than at the peak of these arrays; it is freed at the end.
     """
     global _keepers
     if not can_use_files():
@@ -100,14 +97,14 @@ def kept_memory() -> Iterator[None]:
 
 
 def release_kept() -> None:
-    """Give back what ``kept_memory`` keeps now: a file that is written takes memory, too."""
+    """Free the memory that ``kept_memory`` holds now, for the cache of a file that is written."""
     with _lock:
         if _keepers:
             open_library().msal_keep_memory(1)
 
 
 def count_scratch() -> Scratch:
-    """What arrays in files take."""
+    """Current and peak size of arrays in files."""
     now, peak, error = ctypes.c_size_t(), ctypes.c_size_t(), ctypes.c_int()
     if can_use_files():
         open_library().msal_count_array_files(*map(ctypes.byref, (now, peak, error)))
@@ -116,7 +113,7 @@ def count_scratch() -> Scratch:
 
 @contextmanager
 def _own_allocator() -> Iterator[None]:
-    """Have numpy ask ours for the memory of arrays that are made in this thread."""
+    """Make numpy use our allocator in this thread."""
     before = _set_handler()(_handler())
     try:
         yield
@@ -135,7 +132,7 @@ def _handler() -> Any:
 
 @functools.cache
 def _set_handler() -> Any:
-    """numpy's function that takes a handler and gives the one before."""
+    """numpy's function that sets a memory handler and returns the previous one."""
     try:
         core = importlib.import_module("numpy._core._multiarray_umath")
     except ImportError:  # before numpy 2

@@ -1,8 +1,7 @@
-"""Means over balls: heights by closeness and similarity, projections on planes around a vertex.
+"""Bilateral means over neighbourhoods within a radius: of heights, and of projections on planes.
 
-What lies within a distance of a vertex is found along the surface, by a flood through the
-connectivity, not in a ball in space: the other side of a thin wall is not found, and no search tree
-is needed.
+The neighbourhood of a vertex is found by breadth-first search through the connectivity, not in a
+ball in space, so the other side of a thin wall is not included, and no search tree is needed.
 """
 
 import numpy as np
@@ -19,10 +18,10 @@ from msal_cli.kernels.vectors import ONE, ZERO, longest_row
 from msal_cli.light_dataclass import dataclass
 
 MAX_FOUND = 2048
-"""Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
+"""Items at which a search stops: vertices within 23 mean edge lengths on an even mesh."""
 
 MAX_LOOKS = 4 * MAX_FOUND
-"""Neighbours that a flood looks at beyond the first row: those of a hub would be too many."""
+"""Neighbours that a search visits beyond the first row, because very high valences are slow."""
 
 
 @compiled
@@ -159,7 +158,7 @@ def _ball_bilateral(
         scale = max(scale, floor)
         near = 0.5 / (width * width)
         alike = 0.5 / (scale * scale)
-        # The vertex itself, at height and distance 0, has weight 1: the sum cannot vanish.
+        # The vertex itself, at height and distance 0, has weight 1, so the sum is positive.
         for at in range(count):
             g[at] = -(squares[at] * near) - h[at] * h[at] * alike
         vec.exponentials(g, count)
@@ -172,11 +171,12 @@ def _ball_bilateral(
 
 @dataclass(frozen=True, eq=False)
 class BallBilateral:
-    """d n with d = sum(w h) / sum(w) over a ball, and n the normals of the current positions.
+    """d n with d = sum(w h) / sum(w) over a neighbourhood, and n the current normals.
 
     w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2) with h the heights over the tangent plane and t
-    the distances of the vertices, the vertex itself among them, that edges join to it within
-    ``radius`` (Fleishman, Drori and Cohen-Or 2003)."""
+    the distances of the vertices within ``radius``, connected to the vertex through such vertices,
+    and of the vertex itself (Fleishman, Drori and Cohen-Or 2003).
+    """
 
     faces: Ints  # faces, links: (m, 3) and its neighbourhoods
     links: Connectivity
@@ -202,8 +202,8 @@ class BallBilateral:
 _CENTROIDS, _PROJECTIONS = range(2)
 
 MIN_AREA = 1e-12
-"""Area of a mollified face, in squared mean edge lengths, up to which its normal is rounding: a
-triangle that no other touches shrinks to a point."""
+"""Area of a mollified face, squared mean edge lengths, up to which its normal is a rounding error:
+an isolated triangle shrinks to a point."""
 
 
 @compiled
@@ -249,7 +249,7 @@ def _project(
             s[at] = vec.dot(vec.subtract(own, vec.load(centroids, f)), vec.load(normals, f))
             g[at] = squares[at] * near + s[at] * s[at] * alike
             least = min(least, g[at])
-        # The largest Gaussian is made 1: the quotient stays the same, and cannot become 0/0.
+        # Scaled so that the largest Gaussian is 1: the quotient is the same, and never 0/0.
         for at in range(count):
             g[at] = least - g[at]
         vec.exponentials(g, count)
@@ -271,12 +271,13 @@ def _project(
 class ProjectionAverage:
     """dx = sum(w (P(x) - x)) / sum(w) over the faces around x, w = A f(|c - x|) g(|P(x) - x|).
 
-    P(x) is the projection of x on the plane through a face's centroid c along its mollified
-    normal, A the face's area, f and g Gaussians of widths ``closeness`` and ``similarity`` (Jones,
-    Durand and Desbrun 2003).  Mollified normals are those of the faces after every vertex went to
-    the average of the centroids, with weights A f, f half as wide; where that leaves nothing of a
-    face its own normal is taken.  The faces are those with a centroid within 2 closeness
-    that such faces join to the vertex; one without any does not move."""
+    P(x) is the projection of x on the plane through a face's centroid c along its mollified normal,
+    A the face's area, f and g Gaussians of widths ``closeness`` and ``similarity`` (Jones, Durand
+    and Desbrun 2003).  Mollified normals are those of the faces after each vertex moved to the
+    average of the centroids with weights A f, f half as wide; a face that this makes degenerate
+    keeps its own normal.  The faces are those with a centroid within 2 closeness, connected to the
+    vertex through such faces; a vertex without any does not move.
+    """
 
     faces: Ints  # faces, links: (m, 3) and its neighbourhoods
     links: Connectivity
@@ -316,7 +317,7 @@ class ProjectionAverage:
         closeness: float,
         averaged: int,
     ) -> Floats:
-        """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
+        """Displacements (n, 3) of the vertices to the average of the centroids or projections."""
         widths = 2.0 * self.closeness, closeness, self.similarity
         floor = MIN_SIGMA * self.mean_edge_length
         planes = centroids, areas, normals, self.faces, *self.links.incidence
@@ -339,8 +340,8 @@ def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spr
 def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: Floats) -> Floats:
     """Mean of 1 - n_f . n over the faces around each vertex (n,), n its unit normal (n, 3).
 
-    On an edge between two planes that is 1 - cos of half the angle between their normals.  Faces
-    without area do not count; a vertex without others has 0.
+    On an edge between two planes this is 1 - cos of half the angle between their normals.
+    Degenerate faces do not count; a vertex without other faces has 0.
     """
     units = face_normals(positions, faces)
     return fill_array(_normal_spread, len(positions), units, normals, *links.incidence)
@@ -359,10 +360,10 @@ def _step_towards_planes(start, stop, x, normals, ring_start, ring, moves):
 
 
 def step_towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    """Mean of the steps (n, 3) that take each vertex to the tangent planes of its one-ring.
+    """Mean of the displacements (n, 3) of each vertex to the tangent planes of its one-ring.
 
     A gradient step on the sum of squared distances from these planes, the quadric of the
-    neighbourhood: between two flat sides its least place is the edge, between three the corner.
-    Neighbours with a zero normal count as planes on which the vertex lies already.
+    neighbourhood, whose minimum is the edge between two planes, or the corner of three.  Neighbours
+    with a zero normal count as planes through the vertex.
     """
     return fill_array(_step_towards_planes, positions.shape, positions, normals, ring_start, ring)

@@ -1,8 +1,9 @@
-"""Who neighbours whom: one-rings, faces around vertices, open edges.
+"""Connectivity: one-rings, faces around vertices, boundary edges, components, winding.
 
-A one-ring is kept in compressed rows: the neighbours of vertex i are
-``ring[ring_start[i]:ring_start[i + 1]]``, each once: in the order of the faces around i those that
-follow it, where all faces are wound one way and close; else as these faces name them.
+One-rings are stored in CSR form: the neighbours of vertex i, each once, are
+``ring[ring_start[i]:ring_start[i + 1]]``.  If all faces around i are consistently wound and closed,
+they are the vertices that follow i in these faces, in their order; else they are ordered as the
+faces name them.
 """
 
 import functools
@@ -21,7 +22,7 @@ from msal_cli.light_dataclass import dataclass
 Kept = TypeVar("Kept")
 
 KEPT_FACES = 100_000
-"""Faces up to which a mesh keeps what was found out about its faces, 200 bytes each or so."""
+"""Largest mesh, in faces, that caches results about its faces, about 200 bytes for each."""
 
 
 @compiled
@@ -43,10 +44,10 @@ def _index_rows(keys, per_row, per_column, starts, places):
 
 
 def index_rows(count: int, keys: Ints, per_row: int = 1, per_column: int = 0) -> tuple[Ints, Ints]:
-    """Rows of the places of each of ``count`` numbers in ``keys`` (m, k), in their order.
+    """The occurrences of each of ``count`` numbers in ``keys`` (m, k), in CSR form.
 
-    Returns where the rows start, (count + 1,), and the places (m k,): the row of ``keys`` times
-    ``per_row`` plus the column times ``per_column``.
+    Returns where the rows start, (count + 1,), and the occurrences (m k,), ascending: the row in
+    ``keys`` times ``per_row`` plus the column times ``per_column``.
     """
     starts = np.zeros(count + 1, dtype=np.int32)
     places = np.empty(keys.size, dtype=np.int32)
@@ -61,7 +62,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
     They are the vertices that follow i in its faces, in the places of these faces.  ``opened[i]``
     becomes True for all other vertices; what is in their places is of no use.
     """
-    # Who follows vertex i is marked i, and, once it has been found to go before it too, -2 - i.
+    # A vertex that follows i in a face is marked i, then, if it also precedes i, -2 - i.
     mark = np.full(len(opened), -1, dtype=np.int32)
     for i in range(start, stop):
         row = face_start[i]
@@ -138,7 +139,7 @@ def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, b
             out, into = uses[at - row, 0], uses[at - row, 1]
             if out + into == 1:
                 boundary[i] = True
-            # An edge between an open vertex and a closed one has two faces, wound one way.
+            # An edge between an open vertex and a closed one has two consistently wound faces.
             if ring[at] > i:
                 if out + into == 1:
                     open_edges += 1
@@ -151,14 +152,14 @@ def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, b
 
 @dataclass(frozen=True, eq=False)
 class Connectivity:
-    """Neighbourhoods of a triangle mesh."""
+    """Connectivity of a triangle mesh."""
 
     faces: Ints  # (m, 3), the triangles themselves
-    ring_start: Ints  # ring_start, ring: rows of the one-rings, (n + 1,) and (sum of valences,)
+    ring_start: Ints  # ring_start, ring: one-rings in CSR form, (n + 1,) and (sum of valences,)
     ring: Ints
-    boundary: Flags  # (n,) bool, True at the ends of an edge that has one face only
+    boundary: Flags  # (n,) bool, True for the ends of boundary edges
     boundary_edges: int  # edges with one face
-    inconsistent_edges: int  # edges with two faces that run through it in the same direction
+    inconsistent_edges: int  # edges with two faces of opposite winding
     non_manifold_edges: int  # edges with more than two faces
 
     @property
@@ -169,20 +170,20 @@ class Connectivity:
 
     @property
     def one_ring(self) -> tuple[Ints, Ints]:
-        """Rows of the one-rings: where they start (n + 1,), and the neighbours."""
+        """The one-rings in CSR form: where they start (n + 1,), and the neighbours."""
         return self.ring_start, self.ring
 
     @functools.cached_property
     def incidence(self) -> tuple[Ints, Ints]:
-        """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
+        """The faces around each vertex in CSR form: row starts (n + 1,), and the faces (3 m,)."""
         return index_rows(len(self.ring_start) - 1, self.faces)
 
     def kept(self, name: str, made: Callable[[], Kept]) -> Kept:
-        """What ``made`` gives, from the first such call on; but only for small meshes.
+        """The result of ``made``, cached by ``name`` if the mesh is small.
 
-        A search for the best setting runs many over the same small mesh, and what follows
-        from its faces is then half of the work.  With large meshes it would take memory from
-        whatever comes after.
+        A search for the best setting runs many filters on the same small mesh, and without a cache
+        results that depend only on its faces would be half of the work.  For large meshes the cache
+        would take too much memory.
         """
         if len(self.faces) > KEPT_FACES:
             return made()
@@ -197,7 +198,7 @@ class Connectivity:
 
 
 def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
-    """Neighbourhoods of ``faces`` (m, 3), which must name three different vertices each."""
+    """Connectivity of ``faces`` (m, 3) with three different vertices each."""
     face_start, incident = index_rows(n_vertices, faces)
     ring = np.empty(len(incident), dtype=np.int32)
     opened = np.empty(n_vertices, dtype=bool)
@@ -208,7 +209,7 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
         return Connectivity(faces, face_start, ring, boundary, 0, 0, 0)
     closed = ring
     ring_start = np.zeros(n_vertices + 1, dtype=np.int32)
-    # Two entries a face are enough for any faces; what is not written to takes no memory.
+    # Two entries a face are always enough; pages that are not written to take no memory.
     most = len(incident) + int((face_start[1:] - face_start[:-1])[opened].sum())
     ring = np.empty(most, dtype=np.int32)
     total, *counts = _open_rings(
@@ -250,7 +251,7 @@ def _circles(start, stop, faces, face_start, incident, following):
 
 
 def side_circles(faces: Ints, links: Connectivity) -> NDArray[np.uint32]:
-    """The next side along the same edge, for each side of ``faces`` (m, 3), (3 m,); see above."""
+    """For each side of ``faces`` (m, 3) the next one along its edge, (3 m,); see ``_circles``."""
     following = np.empty(3 * len(faces), dtype=np.uint32)
     around = [array.reshape(-1).view(np.uint32) for array in (faces, *links.incidence)]
     over_ranges(_circles, len(links.boundary), *around, following, most=MARKING_THREADS)
@@ -274,7 +275,7 @@ def _open_neighbours(faces, face_start, incident, boundary, row_start, row):
                         times[k] = 0
                     times[k] += 1
             times[i] = 0
-            # The second walk takes them in the order in which the faces name them.
+            # The second pass takes them in the order in which the faces name them.
             for at in range(face_start[i], face_start[i + 1]):
                 for corner in range(3):
                     k = faces[incident[at], corner]
@@ -286,7 +287,7 @@ def _open_neighbours(faces, face_start, incident, boundary, row_start, row):
 
 
 def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
-    """Rows of the neighbours that are joined to a vertex by an edge with one face.
+    """The neighbours of each vertex along boundary edges, in CSR form.
 
     Parameters
     ----------
@@ -294,8 +295,7 @@ def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
 
     Returns
     -------
-    row_start, row : (n + 1,) and (2 x boundary edges,), like a one-ring; rows of inner vertices
-        are empty.
+    row_start, row : (n + 1,) and (2 x boundary edges,), like a one-ring; empty for inner vertices.
     """
     row_start = np.zeros(len(links.boundary) + 1, dtype=np.int32)
     row = np.empty(2 * links.boundary_edges, dtype=np.int32)
@@ -304,11 +304,11 @@ def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
 
 
 def averaging_ring(faces: Ints, links: Connectivity, boundary: str) -> tuple[Ints, Ints]:
-    """One-rings (n + 1,) and (...,) to average over, for a rule at open edges.
+    """The one-rings (n + 1,) and (...,) to average over, by a rule for boundary vertices.
 
-    ``boundary`` is ``"free"``: all neighbours that a vertex has; ``"fixed"``: a boundary vertex has
-    an empty row and stays; or ``"curve"``: a boundary vertex is averaged with its neighbours along
-    open edges only, so that the rim is smoothed as a curve and is not drawn inwards.
+    ``boundary`` is ``"free"``: all neighbours of a vertex; ``"fixed"``: a boundary vertex has an
+    empty row and stays; or ``"curve"``: a boundary vertex is averaged with its neighbours along
+    boundary edges only, so that the boundary is smoothed as a curve and is not drawn inwards.
     """
     if boundary == "free" or not links.boundary_edges:
         return links.one_ring
@@ -351,7 +351,7 @@ def _count_components(faces, used, parent):
             other = _root(parent, faces[f, corner])
             if other != first:
                 components -= 1
-                # The lower number becomes the root, so that the forest does not depend on luck.
+                # The lower number becomes the root, so that the result is unique.
                 if other < first:
                     parent[first] = other
                     first = other
@@ -361,12 +361,12 @@ def _count_components(faces, used, parent):
 
 
 def count_components(n_vertices: int, faces: Ints, used: Flags) -> int:
-    """Number of connected parts among the vertices that ``used`` (n,) marks."""
+    """Number of connected components among the vertices that ``used`` (n,) marks."""
     return int(_count_components(faces, used, np.empty(n_vertices, dtype=np.int32)))
 
 
 def component_labels(n_vertices: int, faces: Ints) -> Ints:
-    """For each vertex (n,) the lowest number of a vertex in its connected part."""
+    """For each vertex (n,) the lowest vertex number in its connected component."""
     labels = np.empty(n_vertices, dtype=np.int32)
     _count_components(faces, np.ones(n_vertices, dtype=bool), labels)
     while not np.array_equal(above := labels[labels], labels):
@@ -435,15 +435,15 @@ def _to_flip(corners, following, flip):
 
 
 def faces_to_flip(faces: Ints, links: Connectivity) -> tuple[Flags, int]:
-    """The faces to turn round so that every part that can be is wound one way.
+    """The faces to flip so that the winding of each orientable component is consistent.
 
-    Faces are joined across edges with exactly two faces.  In each part the lesser number of faces
-    is turned; a part that has no consistent winding (a Moebius band) is left as it is.
+    Faces are connected across edges with exactly two faces.  In each component the smaller number
+    of faces is flipped; a component without a consistent winding (a Moebius band) is not changed.
 
     Returns
     -------
     flip : (m,) bool.
-    unorientable : number of parts that have no consistent winding.
+    unorientable : number of components that have no consistent winding.
     """
     flip = np.zeros(len(faces), dtype=bool)
     corners = faces.reshape(-1).view(np.uint32)

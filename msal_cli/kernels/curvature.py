@@ -1,7 +1,7 @@
-"""Cotangent weights, areas of vertices, and mean curvature flow, isotropic and anisotropic.
+"""Cotangent weights, vertex areas, and mean curvature flow, isotropic and anisotropic.
 
-Sums run over the corners of faces, so that open and non-manifold edges need no rule of their own:
-an edge has the cotangents of as many corners as look at it.
+Sums run over the corners of faces, so that boundary and non-manifold edges need no special case: an
+edge has one cotangent for each of its faces.
 """
 
 import functools
@@ -21,9 +21,9 @@ from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.light_dataclass import dataclass
 
 FLATTEST = 0.05
-"""Height over longest edge below which a face's cotangents are those of a face that is less flat.
+"""Ratio of height to longest edge below which a face has the cotangents of a less flat one.
 
-About three degrees in the smallest angle of an isosceles face; no cotangent exceeds 20.
+This is about three degrees in the smallest angle of an isosceles face; no cotangent exceeds 20.
 """
 
 
@@ -40,8 +40,8 @@ def _corner_cotangents(start, stop, vertices, faces, cotangents):
     for f in range(start, stop):
         a, b, c = vec.load(faces, f)
         at_a, at_b, at_c, doubled, longest = _corner_dots(vertices, a, b, c)
-        # One divisor for all three: then the face's part of the stiffness matrix is that of the
-        # true face times a number below one, and never loses its positive sign.
+        # A common divisor scales the face's part of the stiffness matrix by a number below one, so
+        # that the matrix stays positive semidefinite.
         divisor = max(doubled, FLATTEST * longest)
         inverse = 1.0 / divisor if divisor > 0.0 else 0.0
         vec.store(cotangents, f, vec.times(inverse, (at_a, at_b, at_c)))
@@ -69,18 +69,18 @@ def _cotangent_weights(
 
 
 def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
-    """cot alpha + cot beta of every edge, (e,), one for each entry of ``links.ring``.
+    """cot alpha + cot beta of each edge, (e,), one for each entry of ``links.ring``.
 
-    alpha and beta are the angles that face the edge; an open edge has one, a non-manifold edge as
-    many as it has faces.  The three cotangents of a face whose height is less than 1/20 of its
-    longest edge are smaller than the true ones by one common factor, and at most 20.  But for such
-    faces the gradient of the surface's area with respect to vertex i is sum(w_ik (x_i - x_k)) / 2.
-    The matrix with -w off its diagonal and sum(w) on it is positive semidefinite for any vertices.
+    alpha and beta are the angles opposite to the edge; a boundary edge has one, a non-manifold edge
+    one for each face.  For a face whose height is less than 1/20 of its longest edge the three
+    cotangents are reduced by a common factor, to at most 20.  Except for such faces the gradient of
+    the surface's area with respect to vertex i is sum(w_ik (x_i - x_k)) / 2.  The matrix with -w
+    off its diagonal and sum(w) on it is positive semidefinite for any vertices.
 
     Parameters
     ----------
     vertices : (n, 3).
-    faces : (m, 3), the faces that ``links`` were made from, each wound either way.
+    faces : (m, 3), the faces that ``links`` were made from, of any winding.
     """
     weights = np.empty(len(links.ring))
     cotangents = fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
@@ -102,7 +102,7 @@ def _corner_areas(start, stop, vertices, faces, areas):
             areas[f, 1] = doubled / (4.0 if at_b == lowest else 8.0)
             areas[f, 2] = doubled / (4.0 if at_c == lowest else 8.0)
         else:
-            # Squared length of an edge times the cotangent of the corner that faces it.
+            # Squared length of an edge times the cotangent of the opposite corner.
             scale = 1.0 / (8.0 * doubled)
             of_bc = (at_b + at_c) * (at_a * scale)
             of_ca = (at_c + at_a) * (at_b * scale)
@@ -123,11 +123,11 @@ def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):
 
 
 def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
-    """Mixed Voronoi area of every vertex, (n,), in squared units; Meyer et al. 2002.
+    """Mixed Voronoi area of each vertex, (n,), squared file units; Meyer et al. 2002.
 
-    Of a face without obtuse angle each corner has the part that is nearer to it than to the other
-    two; of an obtuse face the obtuse corner has a half, the others a quarter each.  The sum over
-    all vertices is the area of the surface.
+    In a face without an obtuse angle each corner has the part that is nearest to it; in an obtuse
+    face the obtuse corner has half of the area, the others a quarter each.  The sum over all
+    vertices is the area of the surface.
     """
     corner_areas = np.empty((len(faces), 3))
     over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
@@ -139,16 +139,16 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
 AREAS = ("mixed", "ring")
 
 TOLERANCE = 1e-8
-"""Of the implicit step's solution, in mean edge lengths: far below the rounding of any scan."""
+"""Accuracy of the solution of an implicit step, mean edge lengths, below the rounding of scans."""
 
 MAX_ITERATIONS = 10_000
-"""Of the conjugate gradients, for steps so long that they are hopeless to solve well."""
+"""Largest number of conjugate gradient iterations, for steps too long to be solved well."""
 
 
 def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str) -> Floats:
-    """Area of every vertex, (n,), in squared units.
+    """Area of each vertex, (n,), squared file units.
 
-    ``areas`` is ``"mixed"``: the mixed Voronoi area; or ``"ring"``: a third of the one-ring's.
+    ``areas`` is ``"mixed"``: the mixed Voronoi area; or ``"ring"``: a third of the one-ring's area.
     """
     if areas == "mixed":
         return mixed_areas(vertices, faces, links)
@@ -175,8 +175,9 @@ def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time
 class MeanCurvature:
     """min(tau, limit_i) / (2 A_i) sum(w (x_k - x_i)), w = cot alpha + cot beta, A vertex areas.
 
-    limit_i = 2 A_i / sum|w| is the time step at which a vertex with positive weights reaches the
-    weighted mean of its neighbours; beyond it the explicit iteration would overshoot."""
+    limit_i = 2 A_i / sum|w| is the time step with which a vertex with positive weights moves to the
+    weighted mean of its neighbours; larger explicit steps would overshoot.
+    """
 
     faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
@@ -198,9 +199,10 @@ class MeanCurvature:
 class ImplicitMeanCurvature:
     """X' - X of one implicit step, (M + tau L) X' = M X, with L the cotangent stiffness matrix.
 
-    L = grad(area) has the weights w / 2 of the input for good: the flow that keeps them has no
-    singularities, where the one that measures them anew pinches thin parts off (Kazhdan, Solomon
-    and Ben-Chen 2012).  M has the vertex areas, measured anew at every call."""
+    L = grad(area) keeps the weights w / 2 of the input: that flow has no singularities, while the
+    one that updates them pinches off thin parts (Kazhdan, Solomon and Ben-Chen 2012).  M has the
+    vertex areas, updated at each call.
+    """
 
     faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
@@ -209,7 +211,7 @@ class ImplicitMeanCurvature:
     time_step: float  # tau, in squared file units
     mean_edge_length: float  # file units; sets the accuracy of the solution
     areas: str  # ``"mixed"`` or ``"ring"``
-    # called after every iteration of the solver; what it raises ends the run
+    # called after each iteration of the solver; an exception that it raises ends the run
     on_iteration: Callable[[], object]
     normals: None = None
 
@@ -221,7 +223,7 @@ class ImplicitMeanCurvature:
         sums = np.zeros(len(positions))
         filled = np.diff(links.ring_start) > 0
         sums[filled] = np.add.reduceat(values, links.ring_start[:-1][filled])
-        # (M / tau + L) (X' - X) = -L X: the moves have less rounding than positions would have,
+        # (M / tau + L) (X' - X) = -L X.  Displacements have smaller rounding errors than positions,
         # and the matrix has no unit, so that tiny meshes cannot underflow.
         matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
         right = np.empty_like(positions)
@@ -239,17 +241,17 @@ class ImplicitMeanCurvature:
         return Step(moves)
 
 
-# Mean curvature made of edges, in which an edge that is bent more than a threshold counts less.
+# Mean curvature by edges, with reduced weights of edges with a curvature above a threshold.
 #
 # The curvature vector of an edge e between faces with unit normals m and n is H(e) = e x (n - m),
 # of length 2 |e| sin(phi / 2) for the angle phi between m and n.  Half the sum of H(e) around a
 # vertex is the gradient of the surface's area.  Symbols as in Hildebrandt and Polthier 2004.
 
 MAX_SHARE = 0.5
-"""Share of the way to where H_A would vanish that a vertex may go in one step."""
+"""Largest displacement in a step, as a share of the distance at which H_A would vanish."""
 
 MIN_SLOPE = 0.25
-"""Least slope: beyond a right angle a bent flap pulls, though a flat one would not begin to."""
+"""Smallest slope, for flaps bent beyond a right angle, where that of the flat flap may be 0."""
 
 
 @compiled
@@ -271,7 +273,7 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
         h = vec.ORIGIN
         slope_1 = slope_3 = 0.0
         if m > DEGENERATE * max(ee, bb) and n > DEGENERATE * max(ee, dd):
-            # Not by reciprocals: equal normals are to cancel without a rest.
+            # Not by reciprocals, so that equal normals cancel exactly.
             h = vec.cross(edge, vec.subtract(vec.divide(n_normal, n), vec.divide(m_normal, m)))
             m, n = 1.0 / m, 1.0 / n
             slope_1 = max(abs(ee - be) * m, MIN_SLOPE) + max(abs(ee - de) * n, MIN_SLOPE)
@@ -292,10 +294,11 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
 def edge_curvatures(
     vertices: Floats, corners: Ints, threshold: float = np.inf, falloff: float = 1.0
 ) -> tuple[Floats, Floats, Flags]:
-    """Curvature vectors w H(e) (e, 3) of ``flaps`` (e, 4), file units; they point out of a ridge.
+    """Curvature vectors w H(e) (e, 3) of ``flaps`` (e, 4), file units, pointing outwards on ridges;
+    zero beside a degenerate face.
 
-    Zero beside a face without area.  Also how fast their lengths grow as either end rises (e, 2),
-    and which are longer than the threshold (e,).
+    Also the derivatives of their lengths by the heights of both ends (e, 2), and whether they are
+    longer than the threshold (e,).
     """
     count = len(corners)
     results = np.empty((count, 3)), np.empty((count, 2)), np.empty(count, dtype=bool)
@@ -304,10 +307,10 @@ def edge_curvatures(
 
 
 def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
-    """Median length of H(e) plus so many standard deviations of it, in file units.
+    """Median length of H(e) plus ``deviations`` times its standard deviation, file units.
 
-    The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
-    ``flaps`` (e, 4).
+    The standard deviation is 1.4826 times the median absolute deviation.  Zero without ``flaps``
+    (e, 4).
     """
     lengths: Floats = np.sqrt((edge_curvatures(vertices, corners)[0] ** 2).sum(axis=1))
     if not len(lengths):
@@ -361,7 +364,7 @@ def _gather(
         for at in range(face_start[i], face_start[i + 1]):
             area += vectors[np.uint64(incident[at]), 3]
         vec.store(outward, i, vec.divide(vec.sum_row(vectors, face_start, incident, i), 6.0))
-        # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
+        # The mass is area / 6, the derivative of H_A by the height of the vertex stiffness / 2.
         rate[i] = 0.0
         if free[i] and stiffness > 0.0:
             rate[i] = 2.0 * MAX_SHARE / stiffness
@@ -411,15 +414,16 @@ class AnisotropicCurvature:
     lambda^2 / (r (lambda - |H|)^2 + lambda^2) beyond; M is a third of the area around it.
 
     Without ``prescribed`` f is zero.  With it V_A is the gradient of the volume; at a feature, a
-    vertex with an edge beyond lambda, its length is kept and its direction is that of H_A plus the
-    mean H_A of the neighbours.  f = sum(H_A . V_A / |V_A|) / sum |V_A| over the neighbours, of a
+    vertex with an edge beyond lambda, it keeps its length but has the direction of H_A plus the
+    mean H_A of the neighbours.  f = sum(H_A . V_A / |V_A|) / sum |V_A| over the neighbours; for a
     feature over those that are features.
 
-    A vertex where tau / M is so long that it would overshoot takes a shorter step."""
+    A vertex for which tau / M would overshoot takes a shorter step.
+    """
 
     faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
-    corners: Ints  # (e, 4), their ``flaps``; other edges count not
+    corners: Ints  # (e, 4), their ``flaps``; other edges do not count
     free: Flags  # (n,) bool, False for vertices that must stay
     threshold: float  # lambda, in file units
     falloff: float  # r, above zero
@@ -429,8 +433,8 @@ class AnisotropicCurvature:
 
     @functools.cached_property
     def _rows(self) -> tuple[Ints, Ints, Ints]:
-        """Rows of the flaps e whose edge ends at each vertex, 2 e where it is p1 and 2 e + 1 for
-        p3; and the vertices at the other ends."""
+        """The flaps e whose edge ends at each vertex in CSR form, 2 e for p1 and 2 e + 1 for p3,
+        and the vertices at the other ends."""
         edges = self.corners[:, ::2]
         edge_start, ends = index_rows(len(self.free), edges, 2, 1)
         beside = edges.reshape(-1)[ends ^ 1]

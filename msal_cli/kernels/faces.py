@@ -1,19 +1,18 @@
-"""Which faces neighbour a face, which are near it, and groups of them: flaps and patches.
+"""Neighbours of faces, faces within a distance, and groups of faces: flaps and patches.
 
-Neighbourhoods are kept in compressed rows: the neighbours of face f are
-``ring[ring_start[f]:ring_start[f + 1]]``, each once and never f itself, first those across its
-three edges in turn, then those at its three corners in turn, in ascending order each.
+Neighbours are stored in CSR form: those of face f are ``ring[ring_start[f]:ring_start[f + 1]]``,
+each once and without f, first those across its three edges, then those at its three corners,
+ascending.
 
-All faces around an edge are neighbours of one another, also where there are more than two.  So
-that hubs cost no more than other parts, an edge or a vertex with more than ``MAX_AROUND`` faces
-makes no neighbours: the faces of a wide fan still neighbour the next ones across their edges.
+All faces around an edge are neighbours of one another, also at non-manifold edges.  To limit the
+cost, an edge or a vertex with more than ``MAX_AROUND`` faces makes no neighbours: the faces of a
+wide fan are still neighbours across their edges.
 
-The faces near a face are found by a flood through the connectivity, not in a ball in space: the
-other side of a thin wall is not found, and no search tree is needed.  It goes on through faces
-whose centroids are within the distance.
+The faces within a distance are found by breadth-first search through faces whose centroids are
+within it, not in a ball in space, so the other side of a thin wall is not included.
 
-To find rows twice, once for their lengths, would cost twice the time.  So a kernel writes them into
-room for the longest rows, which is cut off behind the last one then.
+Rows are computed once, into room for the longest ones, and packed, because counting first would
+take twice the time.
 """
 
 from collections.abc import Callable
@@ -32,25 +31,25 @@ from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
 from msal_cli.light_dataclass import dataclass
 
 MAX_AROUND = 64
-"""Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
+"""With more faces around an edge or a vertex, sharing it does not make them neighbours."""
 
 _MAX_AROUND = np.uint64(MAX_AROUND)
 
 MAX_PAIRS = 2**31 - 1
-"""Entries that 32-bit rows can number."""
+"""Largest number of entries of rows with 32-bit offsets."""
 
 
 def find_rows(
     kernel: Callable[..., Any], count: int, most: int, *known: object
 ) -> tuple[Ints, Ints]:
-    """Sizes (count,) of the rows of all items, and the rows one behind the other.
+    """Sizes (count,) of the rows of all items, and the concatenated rows.
 
-    ``kernel(start, stop, *known, sizes, found)`` finds the rows of a range of items, ``most``
-    indices at most in each.  It writes their ``sizes``, and the rows, one behind the other, into
-    ``found`` (uint32) from start * most on, and returns the places where they begin and end.
+    ``kernel(start, stop, *known, sizes, found)`` finds the rows of a range of items, of at most
+    ``most`` indices each.  It writes their ``sizes``, writes the concatenated rows into ``found``
+    (uint32) from start * most on, and returns where they begin and end there.
     """
     sizes = np.empty(count, dtype=np.int32)
-    # What is not written to takes no memory.
+    # Pages that are not written to take no memory.
     found = np.empty(count * most, dtype=np.uint32)
     filled = 0
     for start, end in over_ranges(kernel, count, *known, sizes, found, most=MARKING_THREADS):
@@ -105,14 +104,14 @@ def _neighbours(start, stop, faces, face_start, incident, following, at_corners,
 
 
 def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
-    """Rows of the faces that neighbour each face, ``ring_start`` (m + 1,) and ``ring``.
+    """The neighbours of each face in CSR form, ``ring_start`` (m + 1,) and ``ring``.
 
     Parameters
     ----------
     faces : (m, 3), those that ``links`` were made from.
     sharing : ``"edge"``: faces that share an edge; ``"vertex"``: those that share a vertex too.
 
-    Raises TooLargeError where the faces have more than ``MAX_PAIRS`` neighbours in all.
+    Raises TooLargeError if there are more than ``MAX_PAIRS`` neighbours in all.
     """
     return links.kept(f"face rings, {sharing}", lambda: _find_face_rings(faces, links, sharing))
 
@@ -148,7 +147,7 @@ def face_centroids(vertices: Floats, faces: Ints) -> Floats:
 
 
 def centroid_points(vertices: Floats, faces: Ints) -> Floats:
-    """The same, one behind the other, and a zero (3 m + 1,): lanes read four numbers of each."""
+    """The centroids, flat and followed by a zero (3 m + 1,): lanes read four numbers of each."""
     points = np.empty(3 * len(faces) + 1)
     over_ranges(_corner_means, len(faces), vertices, faces, points[:-1].reshape(-1, 3))
     points[-1] = 0.0
@@ -156,7 +155,7 @@ def centroid_points(vertices: Floats, faces: Ints) -> Floats:
 
 
 def corner_means(values: Floats, faces: Ints) -> Floats32:
-    """Means (m, k) of what the three corners of each face have of ``values`` (n, k)."""
+    """Means (m, k) of ``values`` (n, k) over the three corners of each face."""
     means = np.empty((len(faces), values.shape[1]), dtype=np.float32)
     over_ranges(_corner_means, len(faces), values, faces, means)
     return means
@@ -185,8 +184,8 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
                 if seen[k] == name:
                     continue
                 seen[k] = name
-                # Whether a face is near cannot be predicted: without a branch each is written down,
-                # and kept by being counted.
+                # Whether a face is near cannot be predicted, so each is written, and only counted
+                # if it is: this needs no branch.
                 found[count] = ring[entry]
                 count += np.uint64(vec.square_distance(vec.load(c, k), centre) <= square_radius)
             if at >= count or count >= most:
@@ -204,17 +203,17 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
 def faces_within(
     centroids: Floats, ring_start: Ints, ring: Ints, radius: float | Floats, most: int
 ) -> tuple[Longs, Ints]:
-    """Rows of the faces near each face: ``near_start`` (m + 1,) int64 and ``near``.
+    """The faces near each face in CSR form: ``near_start`` (m + 1,) int64 and ``near``.
 
     Parameters
     ----------
     centroids : (m, 3), file units.
-    ring_start, ring : rows of the neighbours that the flood goes through, (m + 1,) and (k,).
+    ring_start, ring : the neighbours that the search goes through in CSR form, (m + 1,) and (k,).
     radius : distance between centroids up to which a face is near, file units; or (m,), one for
-        each face, from which the distance is measured.
-    most : faces at which the flood from a face stops; the first that it meets are kept.
+        each face as the centre.
+    most : number of faces at which a search stops; the first ones found are kept.
 
-    A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
+    A row does not contain its own face.  It is in breadth-first order along ``ring``.
     """
     sizes, near = find_rows(
         _find_near,
@@ -273,13 +272,13 @@ def _flaps(faces, face_start, incident, ring_start, ring, result):
 
 
 def flaps(faces: Ints, links: Connectivity) -> Ints:
-    """Every edge (p1, p3) with exactly two faces (p1, p2, p3) and (p1, p3, p4): (e, 4) int32.
+    """Each edge (p1, p3) with exactly two faces (p1, p2, p3) and (p1, p3, p4): (e, 4) int32.
 
-    p1 < p3, and the rows are in ascending order of p1.  Open edges and edges with more than two
-    faces are left out.  The two faces may be wound either way; seen as written here they are
-    wound alike.  ``faces`` (m, 3) are those that ``links`` were made from.
+    p1 < p3, and the rows are in ascending order of p1.  Boundary and non-manifold edges are left
+    out.  The two faces may have any winding; as written here it is consistent.  ``faces`` (m, 3)
+    are those that ``links`` were made from.
     """
-    # Every such edge is in the rings of both its ends.
+    # Each such edge is in the one-rings of both its ends.
     result = np.empty((len(links.ring) // 2, 4), dtype=np.int32)
     return result[: _flaps(faces, *links.incidence, *links.one_ring, result)].copy()
 
@@ -294,17 +293,15 @@ def _dihedral_angles(start, stop, x, corners, angles):
 
 
 def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
-    """Angle (e,) between the normals of the two faces of every flap (e, 4), 0 to pi radians.
-
-    Zero where it is flat, and where a face has no area.
-    """
+    """Angle (e,) between the normals of the two faces of each flap (e, 4), 0 to pi radians; zero
+    beside a degenerate face."""
     return fill_array(_dihedral_angles, len(corners), vertices, corners)
 
 
 # Guides (Zhang, Deng, Zhang, Bouaziz and Liu 2015): the mean normal of the most consistent patch.
 #
-# The patch of a face is the face and those that share a vertex with it.  Its score is the greater
-# the less its normals agree,
+# The patch of a face is the face and those that share a vertex with it.  Its score is greater the
+# less its normals agree,
 #
 #     H = max |n_a - n_b|  max |n_e - n_e'| / (epsilon + sum |n_e - n_e'|),
 #
@@ -314,7 +311,7 @@ def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
 EPSILON = 1e-9
 
 BLOCK_PATCHES = np.uint64(32)
-"""Patches that are worked on at a time: what belongs to them fits a first-level cache."""
+"""Patches in a block, whose data fit a first-level cache."""
 
 FOUR = np.uint64(4)
 
@@ -410,14 +407,14 @@ def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, s
     n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
     """
     start, stop = np.uint64(start), np.uint64(stop)
-    # A patch has one face more than its ring, and as many places again at most.
+    # A patch has one face more than its ring, and at most as many repeated entries.
     room = np.int64(BLOCK_PATCHES * TWO * (longest_row(start, stop, ring_start) + THREE))
     x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
     patches = np.int64(BLOCK_PATCHES)
     counts, sums, weights = np.empty(patches, np.uint64), np.empty((patches, 3)), np.empty(patches)
     for first in range(start, stop, BLOCK_PATCHES):
         last = min(first + BLOCK_PATCHES, stop)
-        # All pairs of k normals are each with those up to k / 2 places on; here an even number.
+        # Each with the next k / 2 ones are all pairs of k normals; here an even number.
         half = (longest_row(first, last, ring_start) + THREE) // FOUR * TWO
         filled = _gather(
             first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights
@@ -453,7 +450,7 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
         for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
             k = np.uint64(ring[at])
             score = scores[k]
-            # Two choices without a branch: which patch is best cannot be predicted.
+            # Which patch is best cannot be predicted, so there is no branch.
             best = k if score < least else best
             least = min(least, score)
         vec.store(guides, f, vec.load(means, best) if least < np.inf else vec.load(n, f))
@@ -463,18 +460,18 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
 class Patches:
     """The patches of a mesh."""
 
-    rows: tuple[Ints, Ints]  # of the faces of each patch but for its own, (m + 1,) and (k,)
-    edges: tuple[Ints, Ints]  # rows of the faces that share an edge with each face
+    rows: tuple[Ints, Ints]  # faces of each patch without its centre in CSR form, (m + 1,) and (k,)
+    edges: tuple[Ints, Ints]  # faces that share an edge with each face, in CSR form
     pairs: Ints  # (e, 2), the faces that share an edge, each pair once, the lower number first
-    inner: tuple[Longs, Ints]  # rows of the pairs both of whose faces are in the patch
+    inner: tuple[Longs, Ints]  # pairs of which both faces are in each patch, in CSR form
 
     def guides(self, normals: Floats, areas: Floats) -> Floats:
         """Guide normals (m, 3) for face ``normals`` (m, 3) and ``areas`` (m,).
 
-        Of the patches centred at a face or at one that shares a vertex with it, the guide is the
-        area-weighted mean normal of the one with the lowest score; of equal ones that of the face
-        itself, then the first of its row.  Faces whose normal is zero do not count.  A face all of
-        whose patches have no mean normal is guided by its own.
+        The guide of a face is the area-weighted mean normal of the patch with the lowest score
+        among those centred at the face or at a face that shares a vertex with it; of equal ones at
+        the face itself, then the first in its row.  Faces whose normal is zero do not count.  If no
+        patch has a mean normal, the guide is the face's own normal.
         """
         m = len(normals)
         flat = normals.reshape(-1)
@@ -507,7 +504,7 @@ def _find_patches(faces: Ints, links: Connectivity) -> Patches:
     is_first = edge_ring > f
     pairs = np.column_stack([f[is_first], edge_ring[is_first]])
     first_pair = np.append(0, np.cumsum(is_first))[edge_start].astype(np.uint32)
-    # Every pair of a patch is an edge of two of its faces.
+    # Each pair of a patch is an edge of two of its faces.
     widest, across = int(np.diff(rows[0]).max()), int(np.diff(edge_start).max())
     most = (widest + 1) * across // 2 + 1
     known = [part.view(np.uint32) for part in rows]

@@ -2,7 +2,7 @@
 
 Throughout: ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int32, counter-clockwise from outside.
 A face whose doubled area is at most 1e-12 of its longest edge squared is *degenerate*: it has no
-normal, and a zero vector takes its place.
+normal, which is represented by a zero vector.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ from msal_cli.kernels.vectors import arctangents
 from msal_cli.kernels.welding import first_alike, number_groups, used_vertices, weld
 
 MAX_PARTS = 8
-"""Parts of the vertices whose normals are added up at the same time."""
+"""Largest number of parts of the vertices whose normals are summed in parallel."""
 
 POWERS = 2048
-"""Powers of two that a float64 may have, by the bits of its exponent."""
+"""Number of values of the exponent bits of a float64."""
 
 DEGENERATE = 1e-12
 """Doubled area over longest edge squared, at and below which a face has no usable normal."""
@@ -29,7 +29,7 @@ VANISHED = 1e-10
 """A sum of k unit vectors shorter than this times k has no direction."""
 
 BLOCK_FACES = 512
-"""Faces that are worked on at a time, so that what is known of them stays in the nearest cache."""
+"""Faces in a block, whose data stay in the first-level cache."""
 
 
 @compiled
@@ -137,10 +137,10 @@ def _unit_sums(start, stop, sums, weights):
 
 
 def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tuple[Floats, int]:
-    """Unit vertex normals (n, 3), see ``vertex_normals``, and how many faces have no normal."""
+    """Unit vertex normals (n, 3), see ``vertex_normals``, and the number of degenerate faces."""
     n = len(vertices)
     sums, weights = np.zeros((n, 3)), np.zeros(n)
-    # Every part looks at all faces.
+    # Each part reads all faces.
     parts = max(1, min(threads(), n // MIN_RANGE, MAX_PARTS))
     flat = np.zeros(parts, dtype=np.int64)
     by_area = weighting == "area"
@@ -157,10 +157,10 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
 def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
     """Unit vertex normals (n, 3): the normalised sum of the adjacent face normals.
 
-    ``weighting`` is ``"uniform"`` (unit face normals count alike, section 2.3 of Huang and
-    Ascher) or ``"area"``.  Degenerate faces are left out.  Where the sum vanishes (opposed
-    normals) the area-weighted sum is taken; where that vanishes too, or there is no face, the
-    normal is zero, and a filter that moves along normals leaves the vertex in place.
+    ``weighting`` is ``"uniform"`` (equal weights, section 2.3 of Huang and Ascher) or ``"area"``.
+    Degenerate faces are left out.  If the sum vanishes (opposed normals) the area-weighted sum is
+    used; if that vanishes too, or there is no face, the normal is zero, and a filter that moves
+    along normals does not move the vertex.
     """
     return normals_and_flat_faces(vertices, faces, weighting)[0]
 
@@ -173,10 +173,10 @@ def _mollify(start, stop, normals, ring_start, ring, result):
 
 
 def mollify(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
-    """Vertex normals (n, 3) after ``passes`` passes of the umbrella operator on the normal field.
+    """Vertex normals (n, 3) after ``passes`` passes of averaging over one-rings.
 
-    Each pass replaces a normal by the normalised sum of its one-ring's normals, its own left out
-    (section 2.3 of Huang and Ascher); where that sum vanishes the normal is kept.
+    Each pass replaces a normal by the normalised sum of the normals of its one-ring, without its
+    own (section 2.3 of Huang and Ascher); if that sum vanishes the normal is kept.
     """
     for _ in range(passes):
         result = np.empty_like(normals)
@@ -200,8 +200,8 @@ def _area_and_volume(vertices, faces):
 def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
     """Surface area and signed volume, the sum of x1 . (x2 x x3) / 6 over the faces.
 
-    Desbrun, Meyer, Schroeder and Barr 1999, the paper's Table 1.  The volume of a surface that is
-    not closed depends on where the origin lies.
+    Desbrun, Meyer, Schroeder and Barr 1999, the paper's Table 1.  That of an open surface depends
+    on the origin.
     """
     area, volume = _area_and_volume(vertices, faces)
     return float(area), float(volume)
@@ -245,11 +245,11 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
-    """Mean length of the unique edges, in file units; zero without edges.  With the centroids of
-    faces, and rows of their neighbours, it is the mean distance of these.
+    """Mean length of the unique edges, in file units; zero without edges.  For centroids of faces
+    and rows of their neighbours it is their mean distance.
 
-    It is the float64 next to the mean of their lengths as they are computed, in whatever order:
-    their sum is a whole number of 2^-1075, which does not depend on the number of threads.
+    The sum of the float64 lengths is exact, as an integer multiple of 2^-1075, and rounded once, so
+    the result does not depend on the order of edges and the number of threads.
     """
     rows = max(1, min(len(vertices) // MIN_RANGE, threads()))
     bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
@@ -311,7 +311,7 @@ def _row_sums(start, stop, values, row_start, row, sums):
 
 
 def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
+    """Mean of vertex values (n,) over each one-ring; the vertex's own value if it is empty."""
     sums = fill_array(_row_sums, len(values), values, ring_start, ring)
     count = np.diff(ring_start)
     return np.divide(sums, count, out=values.copy(), where=count > 0)
@@ -328,10 +328,11 @@ def _apply_umbrella(start, stop, x, ring_start, ring, inner, moves):
 def apply_umbrella(
     values: Floats, ring_start: Ints, ring: Ints, inner: Flags, moves: Floats | None = None
 ) -> Floats:
-    """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value.
+    """The umbrella operator (n, 3) of values (n, 3): the mean over the one-ring minus the value.
 
-    Zero where the vertex is not ``inner`` (n,), and where it has no neighbours.  It is written to
-    ``moves`` where that is given."""
+    Zero for vertices that are not ``inner`` (n,) or have no neighbours.  ``moves`` can hold the
+    result.
+    """
     moves = np.empty_like(values) if moves is None else moves
     over_ranges(_apply_umbrella, len(values), values, ring_start, ring, inner, moves)
     return moves
@@ -351,7 +352,7 @@ def _average_around(start, stop, values, ring_start, ring, averages):
 
 
 def average_around(values: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
-    """Means of vertex values, (n,) or (n, k), over each vertex and its one-ring, so many times."""
+    """Vertex values, (n,) or (n, k), averaged ``passes`` times over closed one-rings."""
     before = np.array(values, order="C").reshape(len(values), -1)
     after = np.empty_like(before)
     for _ in range(passes):
@@ -419,8 +420,8 @@ def regroup_normals(
         alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)
         group, first_corner = number_groups(place[faces.reshape(-1)], alike)
         n_groups = len(first_corner)
-        # One entry may serve many places (a flat region that shares one normal): its groups add
-        # up, each once however many corners bring it.
+        # One entry may be used at many positions (a flat region that shares one normal): its groups
+        # are summed, each once however many corners use it.
         _, first_corner = number_groups(entries, group)
         first_corner = first_corner[entries[first_corner] >= 0]
         pair_entry, pair_group = entries[first_corner], group[first_corner]
@@ -437,7 +438,7 @@ def regroup_normals(
         np.logical_or.at(changed, pair_entry, touched[pair_group])
     length = np.sqrt((new_total * new_total).sum(axis=1))
     changed &= usable & (length > VANISHED)
-    # A stored normal may be as long as a double can be.
+    # Stored normals may be so long that products overflow.
     with np.errstate(over="ignore", invalid="ignore"):
         opposed = (old_total * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
     sense = np.where(opposed, -1.0, 1.0) / np.where(length > 0.0, length, 1.0)
@@ -463,8 +464,8 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
     """``vertices`` (n, 3) scaled so that the closed surface has the volume of ``original`` (n, 3).
 
     The factor is the cube root of the ratio of the volumes (Desbrun et al. 1999), the fixed point
-    the centre of mass of the solid, so that the surface does not wander off.  Vertices that no
-    face (m, 3) has are left alone, and so are all where a volume is zero or changed its sign.
+    the centre of mass of the solid, so that the surface does not drift.  Vertices without faces (m,
+    3) are not changed, and nothing is if a volume is zero or its sign changed.
     """
     wanted = area_and_volume(original, faces)[1]
     moment = np.zeros(3)
@@ -492,13 +493,13 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
 
 @compiled
 def _changes(start, stop, before, after, faces, figures):
-    # Gathering cannot become vector code; what follows, in loops of its own, does.
+    # Gathering cannot become vector code; the later loops can.
     px, py, pz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
     qx, qy, qz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
     p_longest, q_longest = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
-    compares = np.empty(BLOCK_FACES)  # 1 where both normals are there, else 0
-    apart = np.empty(BLOCK_FACES)  # of half the angle between them, the sine times something
-    along = np.empty(BLOCK_FACES)  # and its cosine times the same
+    compares = np.empty(BLOCK_FACES)  # 1 if both normals exist, else 0
+    apart = np.empty(BLOCK_FACES)  # sine of half the angle between them, times a factor
+    along = np.empty(BLOCK_FACES)  # its cosine times the same factor
     for block in range(start, stop):
         first = block * BLOCK_FACES
         count = min(BLOCK_FACES, len(faces) - first)
@@ -522,8 +523,8 @@ def _changes(start, stop, before, after, faces, figures):
             # Sine and cosine of the angle; the arccosine of the latter would lose tiny angles.
             sine = vec.norm(vec.times(scale, vec.cross(p, q)))
             cosine = vec.dot(p, q) * scale
-            # tan(a / 2) is sin a / (1 + cos a) and (1 - cos a) / sin a: the one without a
-            # difference of near numbers.
+            # tan(a / 2) is sin a / (1 + cos a) or (1 - cos a) / sin a: the one without
+            # cancellation.
             apart[at] = sine if cosine >= 0.0 else 1.0 - cosine
             along[at] = 1.0 + cosine if cosine >= 0.0 else sine
             compares[at] = 1.0 if has_both else 0.0
@@ -550,10 +551,8 @@ def _changes(start, stop, before, after, faces, figures):
 
 
 def surface_figures(before: Floats, after: Floats, faces: Ints) -> Floats:
-    """The figures (N_FIGURES,) of ``faces`` (m, 3) over two sets of vertices (n, 3).
-
-    The places are named above; the largest angle is a maximum, all others are sums.
-    """
+    """The figures (N_FIGURES,), named above, of ``faces`` (m, 3) with two sets of vertices (n, 3);
+    the largest angle is a maximum, all others are sums."""
     n_blocks = -(-len(faces) // BLOCK_FACES)
     figures = np.empty((n_blocks, N_FIGURES))
     over_ranges(_changes, n_blocks, before, after, faces, figures, smallest=64)
@@ -563,6 +562,6 @@ def surface_figures(before: Floats, after: Floats, faces: Ints) -> Floats:
 
 
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
-    """Area of the faces around every vertex, (n,), in squared units; they sum to three times it."""
+    """Area of the faces around each vertex, (n,), squared file units; thrice the area in all."""
     areas = face_normals_and_areas(vertices, faces)[1]
     return fill_array(_row_sums, len(vertices), areas, *links.incidence)

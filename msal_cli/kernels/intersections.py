@@ -1,28 +1,29 @@
-"""Which faces of a mesh intersect each other.
+"""The pairs of faces of a mesh that intersect.
 
-Boxes that overlap give candidates, which are decided by signs that are exact (``space_signs``); of
-two faces with a common vertex, a plane through it that separates them by more than rounding does
-first: in flat parts these signs are the expensive ones.  Two faces intersect if they have a point
-in common that is not on a vertex or an edge that they share:
+Overlapping boxes give candidates, which are decided by exact signs of determinants
+(``space_signs``).  For faces with a common vertex a cheaper test comes first, for a plane through
+the vertex that separates them by more than rounding errors: in flat regions exact signs are
+expensive.  Two faces intersect if they have a point in common that is not on a shared vertex or
+edge:
 
-- without a common vertex, if any edge of one meets the other (this holds for faces in one plane
-  too, since a triangle within another has edges that meet it);
+- without a common vertex, if any edge of one meets the other (this holds for coplanar faces too,
+  since a triangle within another has edges that meet it);
 - with one, if the edge opposite to it of either meets the other: a segment from the vertex to
   another common point, prolonged, leaves one of the two triangles through that edge;
-- with two, if they are folded onto each other: in one plane, on one side of their edge.
+- with two, if they are folded onto each other: coplanar, on the same side of their edge.
 
 Triangles are closed, so touching counts.
 
-A box has twelve sides more than usual, across the diagonals of the faces of a cube: long triangles
-that are not along an axis fill it better.  Boxes are put in an order in which neighbours are near
-each other: by size, in classes of eight, so that a few large ones do not widen the nodes of all
-small ones, and within a class along a Morton curve.  A binary tree over this order is gone through
-level by level, many pairs of nodes at once.
+Boxes also have bounds along the diagonals of the faces of a cube, because long oblique triangles
+fill such boxes better.  They are ordered so that neighbours are near each other: by size, in
+classes of eight, so that a few large ones do not widen the nodes of all small ones, and within a
+class along a Morton curve.  A binary tree over this order is traversed by levels, many pairs of
+nodes at once.
 
-Determinants are computed in double precision first.  Where one is smaller than its rounding error
-may be (Shewchuk 1997, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric
-Predicates", section 4: the bound of the first stage), its sign is found with whole numbers of any
-length, which every double is a multiple of a power of two of.
+Determinants are computed in double precision first.  If one is smaller than its rounding error may
+be (Shewchuk 1997, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric
+Predicates", section 4: the bound of the first stage), its sign is found with integers of any
+length, because all doubles are integer multiples of a power of two.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,16 +38,15 @@ from msal_cli.kernels.spatial_order import morton_keys
 Bounds = tuple[Floats, Floats]
 
 NODE_PAIRS_AT_ONCE = 1 << 18
-"""Pairs that are expanded at a time; it bounds the memory, however many overlap."""
+"""Pairs of nodes that are expanded at once, which bounds the memory."""
 
 _SIZES_PER_CLASS = 3  # powers of two
 
 
 def near_pairs(triangles: Floats) -> Iterator[tuple[Longs, Longs]]:
-    """Numbers of every two of the ``triangles`` (n, 3, 3) whose boxes have a point in common.
+    """The pairs of ``triangles`` (n, 3, 3) whose boxes have a point in common.
 
-    Yields arrays i, j of the same length, each pair once; which is i, and the order, is the same on
-    every run.
+    Yields arrays i, j of the same length, each pair once, in an order that is always the same.
     """
     if len(triangles) < 2:
         return
@@ -61,10 +61,9 @@ def near_pairs(triangles: Floats) -> Iterator[tuple[Longs, Longs]]:
 
 
 def _bounds(triangles: Floats) -> Bounds:
-    """Least and greatest place along nine directions, (9, n) each.
+    """Bounds along nine directions, (9, n) each.
 
-    A sum of two coordinates is rounded, but never past the rounded sum of others, so that boxes
-    with a point in common overlap.
+    Sums of two coordinates are rounded, but monotonically, so boxes with a point in common overlap.
     """
     x, y, z = triangles.transpose(2, 1, 0)
     low, high = np.empty((9, len(triangles))), np.empty((9, len(triangles)))
@@ -77,14 +76,13 @@ def _spatial_order(low: Floats, high: Floats) -> Longs:
     centres = np.ascontiguousarray((0.5 * low + 0.5 * high).T)
     extent = float(np.ptp(centres, axis=0).max())
     code = morton_keys(centres, centres.min(axis=0), extent or 1.0) >> np.uint64(32)
-    # Of a box without any extent the exponent is 0, which puts it with those of size 1.
+    # A box of size 0 has the exponent 0, like one of size 1.
     sizes = np.frexp((high - low).max(axis=0))[1] // _SIZES_PER_CLASS
     return np.lexsort((code, -sizes))
 
 
 def _levels(low: Floats, high: Floats) -> list[Bounds]:
-    """Bounds (9, nodes) of all nodes by level, the root first; nodes beyond the last box are empty
-    and overlap nothing."""
+    """Bounds (9, nodes) of all nodes by level, the root first; padded with empty nodes."""
     n_axes, n = low.shape
     size = 1 << (n - 1).bit_length()
     lows, highs = np.full((n_axes, size), np.inf), np.full((n_axes, size), -np.inf)
@@ -117,7 +115,7 @@ def _leaf_pairs(
 
 
 def _overlapping(bounds: Bounds, i: Longs, j: Longs) -> tuple[Longs, Longs]:
-    """Of pairs of nodes those that overlap."""
+    """The pairs of nodes that overlap."""
     for low, high in zip(*bounds, strict=True):
         keep = (low[i] <= high[j]) & (low[j] <= high[i])
         i, j = i[keep], j[keep]
@@ -128,21 +126,21 @@ Vectors = tuple[Floats, Floats, Floats]
 """x, y and z of many vectors."""
 
 AT_ONCE = 1 << 16
-"""Pairs that are looked at together, so that what is known of them stays in the cache."""
+"""Pairs in a block, whose data fit the cache."""
 
-# Of the largest product that a projection is a sum of: far more than its rounding error.
+# Relative to the largest product in a projection: far more than its rounding error.
 _MARGIN = 1e-13
-# Below this, products may have vanished.
+# Smaller products may have underflowed.
 _TINY = 1e-290
 
 
 def intersecting_pairs(vertices: Floats, faces: Ints) -> Longs:
-    """Pairs (k, 2) of faces that intersect, the lower index first, in order.
+    """The pairs (k, 2) of faces that intersect, the lower index first, in order.
 
     Parameters
     ----------
     vertices : (n, 3), no two of them at one position.
-    faces : (m, 3), each with three different vertices and with an area.
+    faces : (m, 3), each with three different vertices, none degenerate.
     """
     found = [np.empty((0, 2), dtype=np.int64)]
     for i, j in near_pairs(vertices[faces]):
@@ -154,9 +152,9 @@ def intersecting_pairs(vertices: Floats, faces: Ints) -> Longs:
 
 
 def _intersecting(vertices: Floats, faces: Ints, pairs: Longs) -> Iterator[Longs]:
-    """Places in ``pairs`` (k, 2) of those that intersect."""
+    """Indices into ``pairs`` (k, 2) of those that intersect."""
     first, second = faces[pairs[:, 0]], faces[pairs[:, 1]]
-    # Which corner of one is which of the other: (k, 3), and flags for those of the second.
+    # Whether each corner (k, 3) of one is a corner of the other.
     in_second = np.zeros(first.shape, dtype=np.bool_)
     in_first = np.zeros(first.shape, dtype=np.bool_)
     for a in range(3):
@@ -172,13 +170,13 @@ def _intersecting(vertices: Floats, faces: Ints, pairs: Longs) -> Iterator[Longs
         turned = _turn(first[which], in_second[which], count)
         other = _turn(second[which], in_first[which], count)
         yield which[decide(vertices, turned, other)]
-    # Faces with three common vertices lie on each other.
+    # Faces with three common vertices coincide.
     yield np.flatnonzero(shared == 3)
 
 
 def _turn(corners: Ints, is_shared: Flags, count: int) -> Ints:
-    """Triangles (k, 3) turned so that a single shared corner is the first, or the only corner that
-    is not shared the last."""
+    """Triangles (k, 3) rotated so that a single shared corner is the first one, or the only corner
+    that is not shared the last one."""
     if count == 0:
         return corners
     start = np.argmax(is_shared, axis=1) if count == 1 else np.argmin(is_shared, axis=1) + 1
@@ -186,24 +184,24 @@ def _turn(corners: Ints, is_shared: Flags, count: int) -> Ints:
 
 
 def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
-    """Which triangles without a common vertex meet."""
+    """Indices of the triangles without a common vertex that meet."""
     a, b = _points(vertices, first), _points(vertices, second)
     return np.flatnonzero(_edges_meet(a, b, ((0, 1), (1, 2), (2, 0))))
 
 
 def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Longs:
-    """Which triangles whose first corner is the same meet elsewhere too."""
+    """Indices of the triangles with the same first corner that meet elsewhere too."""
     kept = np.flatnonzero(~_separated_at_a_vertex(vertices, first, second))
     a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
     return kept[_edges_meet(a, b, ((1, 2),))]
 
 
 def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
-    """Which triangles that share their first two corners, in any order, are folded onto each
-    other."""
+    """Indices of the triangles with the same first two corners, in any order, that are folded
+    together."""
     p, q, a = _points(vertices, first)
     b = vertices[second[:, 2]]
-    # Nearly all open by more than a right angle; whether the others do is found exactly.
+    # Nearly all open by more than a right angle; the others are decided exactly.
     edge, to_a, to_b = q - p, a - p, b - p
     square = _dots(edge, edge)
     opening = _dots(to_a, to_b) * square - _dots(to_a, edge) * _dots(to_b, edge)
@@ -217,7 +215,8 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
 
 
 def _edges_meet(a: list[Floats], b: list[Floats], edges: Sequence[tuple[int, int]]) -> Flags:
-    """Of which triangles of either list any of the edges, by their corners, meet the other's."""
+    """Whether any of the ``edges``, given by corners, of a triangle of either list meets the
+    other."""
     meets = np.zeros(len(a[0]), dtype=np.bool_)
     for moving, other in ((a, b), (b, a)):
         for start, end in edges:
@@ -228,7 +227,7 @@ def _edges_meet(a: list[Floats], b: list[Floats], edges: Sequence[tuple[int, int
 
 
 def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
-    """Which segments pq, points (n, 3), have a point in common with their triangle."""
+    """Whether segments pq, points (n, 3), have a point in common with their triangles."""
     a, b, c = triangle
     at_p, at_q = space_signs(a, b, c, p), space_signs(a, b, c, q)
     meets = np.zeros(len(p), dtype=np.bool_)
@@ -247,13 +246,13 @@ def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
 
 
 def _flat_segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
-    """The same in one plane, points (n, 2): p is inside, or the segment meets an edge."""
+    """As ``_segments_meet`` in a plane, points (n, 2): p is inside, or pq meets an edge."""
     edges = [(triangle[k], triangle[(k + 1) % 3]) for k in range(3)]
     meets = _have_one_sign([plane_signs(a, b, p) for a, b in edges])
     for a, b in edges:
         sides = (plane_signs(p, q, a) * plane_signs(p, q, b)) <= 0
         ends = (plane_signs(a, b, p) * plane_signs(a, b, q)) <= 0
-        # For segments on one line both hold; there the boxes decide.
+        # Both hold for collinear segments, which meet if their boxes do.
         low = np.maximum(np.minimum(p, q), np.minimum(a, b))
         high = np.minimum(np.maximum(p, q), np.maximum(a, b))
         meets |= sides & ends & (low <= high).all(axis=1)
@@ -261,21 +260,21 @@ def _flat_segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
 
 
 def _have_one_sign(signs: list[NDArray[np.int8]]) -> Flags:
-    """Where no two are of opposite sign."""
+    """Whether no two signs are opposite."""
     least, most = np.minimum.reduce(signs), np.maximum.reduce(signs)
     have_one: Flags = (least >= 0) | (most <= 0)
     return have_one
 
 
 def _drop(a: Floats, b: Floats, c: Floats, which: Longs) -> Longs:
-    """The axis along which a triangle's plane is seen largest, so that it is not seen edge on."""
+    """The axis (k,) along which the projection of a triangle is largest, and so not degenerate."""
     normals = np.cross(b[which] - a[which], c[which] - a[which])
     axes: Longs = np.argmax(np.abs(normals), axis=1)
     return axes
 
 
 def _flatten(points: Floats, axes: Longs) -> Floats:
-    """Points (n, 3) without the coordinate of each one's axis."""
+    """Points (n, 3) without the coordinate of their axis (n,)."""
     kept = (axes[:, None] + np.array([1, 2])) % 3
     return np.take_along_axis(points, kept, axis=1)
 
@@ -298,10 +297,10 @@ def _cross(u: Vectors, v: Vectors) -> Vectors:
 
 
 def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags:
-    """Of triangles whose first corner is the same, which have nothing else in common for sure.
+    """Whether triangles with the same first corner surely have nothing else in common.
 
-    A plane through the corner either has one triangle on one side and the other in it, or holds an
-    edge of one, or of both, and has all else of the two on its two sides.
+    A plane through the corner either has one triangle on one side and contains the other, or
+    contains an edge of each and has the rest of the two on opposite sides.
     """
     origin = vertices[first[:, 0]].T
     left, right = (
@@ -333,7 +332,7 @@ def _margin(size: Floats, power: int) -> Floats:
 
 Signs = NDArray[np.int8]
 
-# Somewhat more than the 7.8e-16 and 3.4e-16 of the paper, times the permanent.
+# Relative to the permanent; somewhat more than the 7.8e-16 and 3.4e-16 of the paper.
 _SPACE_ERROR = 1e-15
 _PLANE_ERROR = 5e-16
 
@@ -345,13 +344,12 @@ def space_signs(a: Floats, b: Floats, c: Floats, d: Floats) -> Signs:
 
 
 def plane_signs(a: Floats, b: Floats, c: Floats) -> Signs:
-    """The sign of the signed area of triangles abc for points (n, 2): 1 counter-clockwise, 0 where
-    they are on a line."""
+    """The sign of the area of triangles abc for points (n, 2): 1 counter-clockwise, 0 collinear."""
     return _signs(_plane_determinants, _PLANE_ERROR, a, b, c)
 
 
 def _signs(determinants: Callable[..., tuple[Any, Any]], error: float, *points: Floats) -> Signs:
-    """The exact signs of the ``determinants`` of the ways from the first points to the others."""
+    """The exact signs of the ``determinants`` of vectors from the first points to the others."""
     origin, *others = points
     det, permanent = determinants(*(point - origin for point in others))
     signs: Signs = np.sign(det).astype(np.int8)
@@ -364,7 +362,7 @@ def _signs(determinants: Callable[..., tuple[Any, Any]], error: float, *points: 
 
 
 def _space_determinants(u: Any, v: Any, w: Any) -> tuple[Any, Any]:
-    """The determinants of rows u, v, w (n, 3), and the sums of the sizes of their terms."""
+    """The determinants of rows u, v, w (n, 3), and their permanents, the sums of absolute terms."""
     ux, uy, uz = u.T
     vx, vy, vz = v.T
     wx, wy, wz = w.T
@@ -384,7 +382,7 @@ def _plane_determinants(u: Any, v: Any) -> tuple[Any, Any]:
 
 
 def _whole_numbers(*points: Floats) -> NDArray[Any]:
-    """The points, all times one power of two, as Python's whole numbers."""
+    """The points times a common power of two, as Python integers."""
     coordinates = np.stack(points)
     mantissas, exponents = np.frexp(coordinates)
     numbers = np.ldexp(mantissas, 53).astype(np.int64)

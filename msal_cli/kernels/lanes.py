@@ -1,11 +1,11 @@
-"""Eight numbers of single precision that are worked on at a time: the lanes of vector code.
+"""Groups of eight float32 numbers (lanes), for vector code.
 
-Loops over arrays become vector code as the compiler sees fit, and sums that are kept in arrays are
-loaded and stored for every term.  Kernels that say ``Lanes`` of what they add keep it in registers.
-``+``, ``-``, ``*`` and ``/`` go lane by lane; the functions here do the rest.  ``kernel_build``
-puts machine code in their place; as Python, lanes are arrays (8,).
+Loops over arrays become vector code only if the compiler chooses so, and sums that are kept in
+arrays are loaded and stored for each term.  Kernels that sum lanes keep them in registers.  ``+``,
+``-``, ``*`` and ``/`` work lane by lane, as do the functions here.  ``kernel_build`` replaces them
+by machine code; in Python, lanes are arrays (8,).
 
-No number depends on another lane, so that no bit depends on how many lanes a processor has.
+Lanes are independent of each other, so no bit depends on the width of a processor's vectors.
 """
 
 from typing import Any
@@ -28,17 +28,17 @@ def fill_lanes(value: Any) -> Any:
 
 
 def load_lanes(array: Any, at: Any) -> Any:
-    """The eight numbers of ``array``, flat, from the place ``at`` on."""
+    """The eight numbers of ``array``, flat, from index ``at`` on."""
     return array[at : at + LANES].copy()
 
 
 def store_lanes(array: Any, at: Any, lanes: Any) -> None:
-    """Write ``lanes`` to ``array``, flat, from the place ``at`` on."""
+    """Write ``lanes`` to ``array``, flat, from index ``at`` on."""
     array[at : at + LANES] = lanes
 
 
 def load_rows(numbers: Any, at: Any) -> Any:
-    """The eight numbers of rows (uint32) from the place ``at`` on."""
+    """Eight row numbers (uint32) from index ``at`` on."""
     return tuple(int(number) for number in numbers[at : at + LANES])
 
 
@@ -77,7 +77,7 @@ def root(lanes: Any) -> Any:
 
 
 WRITTEN = {store_lanes: (0,)}
-"""The places of arguments that are written to."""
+"""Functions by which arguments, at these positions, are written to."""
 
 
 @compiled
@@ -93,7 +93,7 @@ def choose_vector(a, b, yes, no):
 # Eigenvectors of eight symmetric 3 x 3 matrices at once, by Jacobi's rotations.
 
 SWEEPS = 4
-"""Rounds of three rotations: what is left beside the diagonal is below single precision."""
+"""Rounds of three rotations, which leave off-diagonal entries below single precision."""
 
 
 @compiled

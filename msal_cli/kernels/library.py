@@ -2,8 +2,8 @@
 
 ``python -m kernel_build`` in a checkout, and the build of a wheel, compile every kernel for the
 argument types in ``kernel_build/signatures.txt`` into one shared library, from which it is loaded
-at its first call.  A combination of types that is not listed is an error.  The table beside the
-library has a line for each::
+at its first call.  Combinations that are not listed raise an error.  The table beside the library
+has a line for each::
 
     geometry._sums(i8, f8[:, ::1], f8[::1])    geometry__sums_1f0c    f8    2    9c56...
 
@@ -56,11 +56,11 @@ _LOCK = threading.RLock()
 
 
 class Kernel:
-    """A compiled function; call it like the function itself.
+    """A compiled function, which is called like the Python function.
 
-    Arguments are numbers, truth values and arrays of native byte order; results are numbers, or
-    tuples of numbers.  The interpreter lock is released while it runs.  Kernels may call kernels.
-    With ``MSAL_INTERPRET_KERNELS=1`` in the environment it is the plain Python function.
+    Arguments are numbers, booleans and arrays of native byte order; results are numbers, or tuples
+    of numbers.  The interpreter lock is released while it runs.  Kernels may call kernels.  With
+    ``MSAL_INTERPRET_KERNELS=1`` in the environment it is the plain Python function.
     """
 
     def __init__(self, function: types.FunctionType) -> None:
@@ -91,16 +91,15 @@ class Kernel:
 
 
 def compiled(function: Callable[..., Any]) -> Kernel:
-    """Make a kernel of a function over arrays and numbers (a decorator)."""
+    """Decorator that makes a kernel of a function over arrays and numbers."""
     return Kernel(cast(types.FunctionType, function))
 
 
 def arg_type(argument: Any) -> ArgType:
-    """What decides the machine code for an argument.
+    """The type of an argument, which selects the machine code.
 
-    Of a number the code of its type; of an array that of its items, dimensions and layout (C, F or
-    any).  Whether it is writeable or aligned makes no difference.  Raises TypeError for anything
-    else.
+    For a number it is the code of its type; for an array that of its items, its dimensions and
+    layout (C, F or any), whether or not it is writeable or aligned.  Raises TypeError for others.
     """
     if isinstance(argument, np.ndarray):
         flags = argument.flags
@@ -115,13 +114,13 @@ def arg_type(argument: Any) -> ArgType:
     if isinstance(argument, int):
         return "i8" if argument < 1 << 63 else "u8"
     if isinstance(argument, tuple):
-        # Only kernels that are interpreted give each other tuples in this way.
+        # Only interpreted kernels pass tuples to each other.
         return f"({', '.join(str(arg_type(one)) for one in argument)})"
     raise TypeError(f"a kernel takes arrays and numbers, not {type(argument).__name__}")
 
 
 class Entry(NamedTuple):
-    """What the table says of a kernel for one combination of argument types."""
+    """The table's entry of a kernel for one combination of argument types."""
 
     symbol: str
     results: str
@@ -129,8 +128,8 @@ class Entry(NamedTuple):
 
 
 def load(kernel: Kernel, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
-    """The machine code of a kernel for these argument types, as a function; InternalError
-    where the library does not have it."""
+    """The machine code of a kernel for these argument types, as a function; InternalError if the
+    library does not have it."""
     text = signature(kernel.name, arg_types)
     entry = _entries().get(text)
     if entry is None:
@@ -145,7 +144,7 @@ def load(kernel: Kernel, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
 
 
 def signature(name: str, arg_types: tuple[ArgType, ...]) -> str:
-    """A kernel with its argument types in words, as in the table."""
+    """The key of a kernel with its argument types in the table."""
     return f"{name}({', '.join([_type_text(arg_type) for arg_type in arg_types])})"
 
 
@@ -180,7 +179,7 @@ def _entries() -> dict[str, Entry]:
 
 @functools.cache
 def open_library() -> ctypes.CDLL:
-    """The library of kernels; InternalError where it cannot be loaded."""
+    """The library of kernels; InternalError if it cannot be loaded."""
     try:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as error:
@@ -188,8 +187,8 @@ def open_library() -> ctypes.CDLL:
 
 
 def level_suffix(library: ctypes.CDLL) -> str:
-    """The end of the symbols that are for this processor; InternalError where ``MSAL_CPU`` names
-    a level that the library or the processor does not have."""
+    """The suffix of symbols for this processor; InternalError if ``MSAL_CPU`` names a level that
+    the library or the processor does not have."""
     level: int = library.msal_cpu_level()
     wanted = os.environ.get("MSAL_CPU", "")
     if not level:
@@ -220,8 +219,8 @@ def _missing(what: str) -> InternalError:
 def bind(library: ctypes.CDLL, entry: Entry, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
     """A function that runs a kernel of ``library`` with arguments of these types.
 
-    It raises ValueError where the kernel would write to a read-only array, and RuntimeError where
-    the kernel raises an exception.
+    It raises ValueError if the kernel would write to a read-only array, and RuntimeError if the
+    kernel raises an exception.
     """
     function = _prototype(arg_types)((entry.symbol + level_suffix(library), library))
     result_types = entry.results.strip("()").replace(",", " ").split()
@@ -244,7 +243,7 @@ def bind(library: ctypes.CDLL, entry: Entry, arg_types: tuple[ArgType, ...]) -> 
                 passed += argument.shape
                 passed += argument.strides
             else:
-                # A number of numpy's is none of ctypes'.
+                # ctypes does not accept numpy's numbers.
                 passed.append(argument.item() if hasattr(argument, "item") else argument)
         if function(*passed):
             raise RuntimeError(f"the kernel {entry.symbol} failed")
@@ -257,7 +256,7 @@ def bind(library: ctypes.CDLL, entry: Entry, arg_types: tuple[ArgType, ...]) -> 
 
 
 def _prototype(arg_types: tuple[ArgType, ...]) -> Any:
-    """How numba's functions are called: where the result goes, where a failure goes, arguments.
+    """numba's calling convention: pointers to the result and to an exception, then arguments.
 
     An array becomes its owner and parent (unused here), size, item size, address, shape, strides.
     """
@@ -278,10 +277,10 @@ def _structure(names: tuple[str, ...]) -> Any:
         (f"r{at}", ctypes.c_bool if name == "b1" else _C_TYPES[name])
         for at, name in enumerate(names)
     ]
-    # Code without a result still clears the place where it would be.
+    # Code without a result still clears the memory for one.
     return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
 
 
 def is_kernel_module(value: Any) -> bool:
-    """Whether it is a module of kernels, whose functions kernels call by its name."""
+    """Whether a value is a module of kernels, which kernels call as ``module.function``."""
     return isinstance(value, types.ModuleType) and value.__name__.startswith(f"{__package__}.")

@@ -1,15 +1,14 @@
 """Large sparse systems A X = B with three right-hand sides, A symmetric and positive definite.
 
-Conjugate gradients with the diagonal as preconditioner solve them.  The three columns are one
-system of 3 n unknowns that share every step length, so that a solution turns with the axes whenever
-it is stopped, and a column that is solved early divides by nothing.
+They are solved by conjugate gradients with the diagonal as preconditioner.  The three columns are
+one system of 3 n unknowns with common step lengths, so that an early stop does not depend on the
+orientation of the axes, and a column that is solved early does not divide by zero.
 
-The system of He and Schaefer's L0 minimisation, of how many edges are bent: over every flap, an
-edge (p1, p3) with its faces (p1, p2, p3) and (p1, p3, p4), there are two quantities that are linear
-in the positions once their coefficients are fixed:
+In He and Schaefer's L0 minimisation, two quantities of each flap, an edge (p1, p3) with its faces
+(p1, p2, p3) and (p1, p3, p4), are linear in the positions once their coefficients are fixed:
 
-    D = c1 p1 + c2 p2 + c3 p3 + c4 p4      zero where the flap is flat
-    R = p1 - p2 + p3 - p4                  zero where it is a parallelogram
+    D = c1 p1 + c2 p2 + c3 p3 + c4 p4      zero if the flap is flat
+    R = p1 - p2 + p3 - p4                  zero if it is a parallelogram
 """
 
 from collections.abc import Callable
@@ -24,7 +23,7 @@ from msal_cli.kernels.parallel import over_ranges
 from msal_cli.light_dataclass import dataclass
 
 CHUNK = 4096
-"""Rows that are summed up together: sums over chunks do not depend on how threads share them."""
+"""Rows in a chunk; sums over chunks do not depend on how threads share them."""
 
 
 @compiled
@@ -32,19 +31,18 @@ def _product(start, stop, diagonal, row_start, columns, values, x, product):
     for i in range(start, stop):
         total = vec.times(diagonal[i], vec.load(x, i))
         for at in range(row_start[i], row_start[i + 1]):
-            # Unsigned, so that no index is looked at for being negative: a quarter of the time.
+            # Unsigned indices need no test for negative ones, which takes a quarter of the time.
             total = vec.add_scaled(total, values[at], vec.load(x, np.uint64(columns[at])))
         vec.store(product, i, total)
 
 
 @dataclass(frozen=True, eq=False)
 class RowMatrix:
-    """A sparse matrix in compressed rows, its diagonal apart, so that one-rings can be its rows."""
+    """A sparse matrix in CSR form with a separate diagonal, so that one-rings can be its rows."""
 
     diagonal: Floats  # (n,)
-    # row_start, columns, values: the rest, (n + 1,), (e,) and (e,); row i has the ``values`` from
-    # ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may be there as well; it
-    # is added
+    # row_start, columns, values: the other entries, (n + 1,), (e,) and (e,).  Entries of the
+    # diagonal among them are added to it
     row_start: Ints
     columns: Ints
     values: Floats
@@ -55,7 +53,7 @@ class RowMatrix:
         over_ranges(_product, len(self.diagonal), self.diagonal, *rows, x, product)
 
 
-# A range of rows works on the chunks whose first row it holds, as a whole.
+# A range of rows processes the whole chunks whose first row it contains.
 
 
 @compiled
@@ -100,19 +98,19 @@ def conjugate_gradients(
 ) -> Floats:
     """X (n, 3) of A X = ``right`` from ``start`` (both (n, 3), neither is changed).
 
-    The residual R = ``right`` - A X is measured as sqrt(sum(R^2 / d) / sum(d)) with the diagonal
-    d: the root mean square, weighted by d, of R / d, which is about how far the entries of X have
-    yet to go.  It has the unit of X and does not depend on the scale of A.
+    The residual R = ``right`` - A X is measured as sqrt(sum(R^2 / d) / sum(d)) with the diagonal d:
+    the root mean square, weighted by d, of R / d, which is about the error of X.  It has the unit
+    of X and does not depend on the scale of A.
 
     Parameters
     ----------
-    diagonal, times : d (n,), and what writes A X into its second argument, both (n, 3) and not the
-        same array.
-    tolerance : the run ends when the residual is at most this; the unit of X.
-    most_iterations : the run ends here at the latest.
-    held : (n,) bool, True for rows whose X is given by ``start`` and stays: the other rows are
-        solved with them as data.  Rows whose diagonal is not positive stay as well.
-    on_iteration : called after every iteration; what it raises ends the run.
+    diagonal, times : d (n,), and a function that writes A X into its second argument, both (n, 3)
+        and not the same array.
+    tolerance : the residual at which the run ends; the unit of X.
+    most_iterations : largest number of iterations.
+    held : (n,) bool, True for rows whose X stays that of ``start``, which is data for the other
+        rows.  Rows whose diagonal is not positive stay as well.
+    on_iteration : called after each iteration; an exception that it raises ends the run.
     """
     n = len(diagonal)
     usable = diagonal > 0.0
@@ -148,10 +146,10 @@ def conjugate_gradients(
     return x
 
 
-# How many edges are bent
+# L0 minimisation of bent edges
 
 MAX_COEFFICIENT = 100.0
-"""Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
+"""Larger coefficients, of flaps with a needle, are scaled down, because they would dominate."""
 
 
 @compiled
@@ -168,7 +166,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         if both == 0.0 or square == 0.0:
             coefficients[e, 0] = coefficients[e, 1] = coefficients[e, 2] = coefficients[e, 3] = 0.0
             continue
-        # How far along the edge the two opposite vertices are, from 0 at p1 to 1 at p3.
+        # Projections of the opposite vertices on the edge, from 0 at p1 to 1 at p3.
         at_two = vec.dot(b, edge) / square
         at_four = vec.dot(d, edge) / square
         c2 = s_one / both
@@ -256,15 +254,15 @@ def _assemble(
 class EdgeSparsity:
     """The quadratic part |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2 over the flaps of a mesh."""
 
-    corners: Ints  # (e, 4), p1 to p4 of every flap
-    # flap_start, incident: rows of the flaps around each vertex, (n + 1,) and (4 e,), as 4 times
-    # the number of the flap plus the place of the vertex in it
+    corners: Ints  # (e, 4), p1 to p4 of each flap
+    # flap_start, incident: the flaps around each vertex in CSR form, (n + 1,) and (4 e,), as 4
+    # times the number of the flap plus the position of the vertex in it
     flap_start: Ints
     incident: Ints
     row_start: Ints  # row_start, columns: pattern of the matrix, (n + 1,) and (k,)
     columns: Ints
-    # (4 e, 4), for each entry of ``incident`` where the four corners of the flap are in
-    # ``columns``; -1 for the vertex itself
+    # (4 e, 4), for each entry of ``incident`` the indices into ``columns`` of the four corners of
+    # the flap; -1 for the vertex itself
     slots: Ints
 
     def bent(self, positions: Floats, threshold: float) -> tuple[Floats, Floats]:
@@ -294,7 +292,7 @@ class EdgeSparsity:
 
 
 def edge_sparsity(n_vertices: int, corners: Ints) -> EdgeSparsity:
-    """Prepare for ``corners`` (e, 4), the flaps of a mesh with that many vertices."""
+    """Prepare the pattern for ``corners`` (e, 4), the flaps of a mesh with ``n_vertices``."""
     flap_start, incident = index_rows(n_vertices, corners, 4, 1)
     row_start = np.zeros(n_vertices + 1, dtype=np.int32)
     columns = np.empty(12 * len(corners), dtype=np.int32)

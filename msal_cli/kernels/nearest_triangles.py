@@ -1,11 +1,10 @@
-"""The triangle of a mesh that is nearest to a point, by a tree of boxes.
+"""The triangle of a mesh nearest to a point, by a bounding volume hierarchy.
 
-Triangles are sorted along a Morton curve, and ``LEAF`` of them one behind the other make a leaf.
-The tree is complete: node k has the children 2 k and 2 k + 1, and the root is 1.  A box that is
-farther than the nearest triangle so far is not opened.  Of triangles that are equally near the
-first in the order of the mesh counts, so that no outcome depends on where a search begins.  Points
-follow one another along the curve, too: a search begins with the triangle of the point before, and
-what one has read is there for the next.
+Triangles are sorted along a Morton curve, and each ``LEAF`` consecutive ones are a leaf.  The tree
+is complete: node k has the children 2 k and 2 k + 1, and the root is 1.  Boxes that are farther
+than the nearest triangle so far are skipped.  Of equally near triangles the first in the order of
+the mesh is chosen, so that results do not depend on where a search begins.  Points are sorted along
+the curve too: a search begins with the triangle of the previous point, whose data are in the cache.
 """
 
 import numpy as np
@@ -18,10 +17,10 @@ from msal_cli.kernels.spatial_order import LOW_BITS, gather_rows, morton_keys
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 LEAF = np.uint64(2)
-"""Triangles of a leaf."""
+"""Triangles in a leaf."""
 
 MIN_POINTS = 4096
-"""Points for which a thread of its own is worth starting."""
+"""Points for which an additional thread is worth starting."""
 
 _DEPTH = 64
 
@@ -98,7 +97,7 @@ def _find_nearest(
             below = node + node
             left = _square_to_box(point, boxes, below)
             right = _square_to_box(point, boxes, below + ONE)
-            # The nearer one is opened first.
+            # The nearer one is visited first.
             is_left = left <= right
             nodes[waiting], squares[waiting] = below + ONE if is_left else below, max(left, right)
             waiting += ONE

@@ -1,21 +1,22 @@
-"""What is known of the normal of a face: filtered normals of many widths, and how they spread.
+"""Descriptors of a face for the prediction of its normal: filtered normals and their scatter.
 
-For every face a row of unit vectors (``VECTORS``) and a row of numbers (``NUMBERS``), both from
-the faces near it.  Lengths are in local units: the mean distance from the face's centroid to those
-of the faces that touch it.  With w = A (1 - d^2 / R^2)^2 for the reaches R = 1.5 and 2.8, areas A
-and distances d of centroids, a filtered normal is the normalised sum over the faces j near i of
+Each face has a row of unit vectors (``VECTORS``) and a row of features (``NUMBERS``), both from the
+faces near it.  Lengths are in local units: the mean distance from the face's centroid to those of
+the faces that touch it.  With w = A (1 - d^2 / R^2)^2 for two reaches R (``NARROW``, ``WIDE``),
+areas A and distances d of centroids, a filtered normal is the normalised sum over the faces j near
+i of
 
     w (1 - |g_i - g_j|^2 / s^2)^2 n_j,    the bracket zero beyond the range s,
 
-where the guides g are the normals themselves or some that were filtered before: bilateral means
-whose Gaussians are replaced by biweights, which need no exponential and end where the
-neighbourhood does.  Planes are fitted to the centroids with the same weights: with C their
-covariance, the plane that fits the heights along b best has the normal C^-1 b, up to its length.
+where the guides g are the normals themselves or filtered ones: bilateral means with biweights
+instead of Gaussians, which need no exponential and have a finite support.  Planes are fitted to the
+centroids with the same weights: with C their covariance, the plane that fits the heights along b
+best has the normal C^-1 b, up to its length.
 
-Sums over the neighbours of one face are too short for vector code.  So the sums of eight faces are
-made at a time: lanes are faces (``lanes``), and in a block what belongs to the k-th neighbour of
-each is in a row.  No sum goes across lanes, so that no bit depends on the block, the lane or the
-thread that a face falls to.  A vector is three lanes.
+Sums over the neighbours of one face are too short for vector code.  So those of eight faces are
+computed at once: lanes are faces (``lanes``), and a block has a row for the k-th neighbours of all.
+No sum goes across lanes, so that no bit depends on the block, the lane or the thread of a face.  A
+vector is three lanes.
 """
 
 import numpy as np
@@ -45,48 +46,49 @@ WIDE_RANGES = (0.4, 0.7, 1.2)
 """Ranges s of the differences between unit normals; one more mean has all of them."""
 
 VECTORS = 14
-"""Unit vectors of a face, beside those of other filters and of earlier stages: its own normal; the
-narrow mean; wide means of the ranges 0.4, 0.7 and 1.2, and of all; planes, wide and wide of range
-0.7; the normals filtered by the second wide mean; that mean once more; the last one once more."""
+"""Unit vectors of a face, in addition to those of other filters and of earlier stages: its own
+normal; the narrow mean; wide means of the ranges 0.4, 0.7 and 1.2, and of all; planes, wide and
+wide of range 0.7; the normals filtered with the second wide mean as guide; that mean, and the last,
+filtered."""
 
 WIDE_FILTERED = 3
-"""The place of the wide mean of range 0.7."""
+"""Index of the wide mean of range 0.7."""
 
 NUMBERS = 21
-"""Numbers of a face: the shares of the wide weight within each range; the roots of the second and
+"""Features of a face: the shares of the wide weight within each range; the roots of the second and
 third eigenvalue; the deviation from the wide plane, the height above it, the distance from its
-middle; faces near; scatter of the normals, its mean among those near; the own unit, and the own
-area, each over itself plus the mean; the four ripples, their means among those near."""
+centre; the number of faces near; scatter of the normals, its mean among those near; the own unit,
+and the own area, each over itself plus the mean; the four ripples, their means among those near."""
 
 DEVIATION = 5
-"""The place of the deviation from the plane."""
+"""Index of the deviation from the plane."""
 
 R1, R2, R3, R4, R6, R7, R8, R9, R10, R13, R16, R19 = (
     LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 6, 7, 8, 9, 10, 13, 16, 19)
 )
-"""What so many rows of lanes take."""
+"""Sizes of so many rows of lanes."""
 
 OFFSET, NORMAL, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = ZERO, R3, R6, R7, R8
-"""The rows of lanes that a neighbour has in a block; offset and normal have three."""
+"""Offsets of a neighbour's rows of lanes in a block; offset and normal have three rows."""
 
 ENTRY = R9
-"""What a neighbour takes in a block."""
+"""Size of a neighbour in a block."""
 
 GUIDES = R19
-"""What a neighbour takes in a block of ``_lay_guides``: a weight, and six vectors."""
+"""Size of a neighbour in a block of ``_lay_guides``: a weight, and six vectors."""
 
 RECORD = np.uint64(24)
 """Numbers of a face that ``_lay_guides`` reads."""
 
 KNOWN = np.uint64(36)
-"""Numbers of a face that ``describe`` writes down and only the face itself needs: the vectors up to
-the planes that are not in its record, its axes, and twelve of its NUMBERS, with room for one."""
+"""Numbers that ``describe`` stores for a face and only the face itself needs: the vectors up to the
+planes that are not in its record, its axes, and twelve of its NUMBERS, with room for one."""
 
 AXES, OWN_NUMBERS = 15, 24
-"""Where among them the axes and the numbers begin."""
+"""Where among them the axes and the features begin."""
 
 CHUNK = np.uint64(8)
-"""Neighbours of eight faces that are filtered at a time: they fit a first-level cache."""
+"""Neighbours of eight faces that are filtered at once, which fit a first-level cache."""
 
 _0, _1, _MINUS = (np.float32(number) for number in (0.0, 1.0, -1.0))
 _TINY, _SMALL, _EVEN = np.float32(1e-30), np.float32(1e-24), np.float32(1e-4)
@@ -102,11 +104,11 @@ PAIRS = (
     (R10, R1, _THIRD, _FOURTH),
     (R16, R13, _THIRD, _FOURTH),
 )
-"""Guides and normals, by their places in a block, that ``lay_inputs`` filters with two ranges each;
-the last ones in later stages."""
+"""Guides and normals, by their offsets in a block, that ``lay_inputs`` filters with two ranges
+each; the last pair in later stages."""
 
 SUMS = R6 * np.uint64(1 + len(PAIRS))
-"""What the sums of a block take."""
+"""Size of the sums of a block."""
 
 _OTHERS = np.uint64(3 * 4)
 FOUR, _FIVE, _TEN, _TWELVE = np.uint64(4), np.uint64(5), np.uint64(10), np.uint64(12)
@@ -114,10 +116,10 @@ _SCATTER, _UNIT, _TO_RECORD = np.uint64(33), np.uint64(35), KNOWN * R1
 _OWN_NUMBERS = np.uint64(OWN_NUMBERS)
 
 FACES = np.uint64(32)
-"""Faces whose inputs are side by side for a network: they fit a first-level cache."""
+"""Faces in a batch of inputs for the network, which fit a first-level cache."""
 
 S1, S2, S3 = (FACES * np.uint64(rows) for rows in range(1, 4))
-"""What so many rows of them take."""
+"""Sizes of so many rows of them."""
 
 
 @compiled
@@ -159,7 +161,7 @@ def _normalise(vector, kept, least):
     return choose_vector(square, bound, vec.times(per_length, vector), kept)
 
 
-# Faces near others, side by side
+# Blocks of near faces
 
 
 @compiled
@@ -264,7 +266,7 @@ def _lay_guides(row, stop, begin, points, records, is_later, memory):
     _store_vector(sums, R3, (second, third, fourth))
 
 
-# Sums over them
+# Sums over blocks
 
 
 @compiled
@@ -377,7 +379,7 @@ def _fit_plane(sums, base):
     yy = yy * per_weight - my * my + even
     yz = yz * per_weight - my * mz
     zz = zz * per_weight - mz * mz + even
-    # The cofactors of C times b: the direction of C^-1 b without a division.
+    # The adjugate of C times b has the direction of C^-1 b, without a division.
     x = vec.dot((yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy), base)
     y = vec.dot((xz * yz - xy * zz, xx * zz - xz * xz, xy * xz - xx * yz), base)
     z = vec.dot((xy * yz - xz * yy, xy * xz - xx * yz, xx * yy - xy * xy), base)
@@ -414,7 +416,7 @@ def _turn_axis(skew, axis):
     return choose_vector(fill_lanes(_0), skew, vec.times(fill_lanes(_MINUS), axis), axis)
 
 
-# What is known, and the inputs of a network
+# Descriptors, and the inputs of a network
 
 
 @compiled
@@ -542,7 +544,7 @@ def lay_inputs(first, last, group, of, is_later, memory, vectors, x):
         store_lanes(sums, at, fill_lanes(_0))
     for row in range(ZERO, rows, CHUNK):
         stop = min(row + CHUNK, rows)
-        # The face itself stays in the first place.
+        # The face itself stays first.
         begin = GUIDES if row else ZERO
         end = begin + (stop - row) * GUIDES
         _lay_guides(row, stop, begin, points, records, is_later, memory)

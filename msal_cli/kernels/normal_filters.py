@@ -1,4 +1,4 @@
-"""Face normals averaged with those of faces around, by weights that favour similar ones.
+"""Averages of face normals over neighbouring faces, with weights that favour similar normals.
 
 Bilateral (Zheng, Fu, Au and Tai 2011): with centroids c, areas A and unit normals n of the faces
 
@@ -7,13 +7,13 @@ Bilateral (Zheng, Fu, Au and Tai 2011): with centroids c, areas A and unit norma
 joint bilateral: by differences of guides that are less noisy than the normals; and with a
 threshold (Sun et al. 2007): by how far the cosine between normals is above it.
 
-Throughout: ``normals`` (m, 3) are unit vectors, zeros for faces that have none, which stay so and
-do not count; ``areas`` (m,) and ``centroids`` (m, 3) of the faces, file units; ``ring_start`` and
-``ring`` are rows of neighbouring faces, ``near_start`` and ``near`` of the faces near each face,
-itself left out.  Widths sigma and mu of Gaussians are above zero: a closeness in the unit of the
-centroids, a similarity as a length of differences of unit normals.  Where a sum of normals vanishes
-the face keeps its normal.  ``on_pass`` is called after every pass or step; what it raises ends the
-run.
+Throughout: ``normals`` (m, 3) are unit vectors, zeros for degenerate faces, which stay so and do
+not count; ``areas`` (m,) and ``centroids`` (m, 3) are those of the faces, file units;
+``ring_start`` and ``ring`` are neighbouring faces in CSR form, ``near_start`` and ``near`` the
+faces near each face without itself.  Widths sigma and mu of Gaussians are above zero: a closeness
+in the unit of the centroids, a similarity as a length of differences of unit normals.  If a sum of
+normals vanishes the face keeps its normal.  ``on_pass`` is called after each pass or step; an
+exception that it raises ends the run.
 """
 
 from collections.abc import Callable
@@ -30,10 +30,10 @@ from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
 from msal_cli.light_dataclass import dataclass
 
 BLOCK_PAIRS = np.uint64(1024)
-"""Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
+"""Pairs of faces in a block, whose data fit a first-level cache."""
 
 OUT_OF_REACH = 1e300
-"""Exponent of a neighbour that must not count; finite, so that differences are numbers."""
+"""Exponent of a neighbour that does not count; finite, so that differences are numbers."""
 
 
 @compiled
@@ -51,7 +51,7 @@ def distance_exponents(
 ) -> Floats:
     """|c_i - c_j|^2 / (2 sigma_c^2 ln 2) + handicap_j of all pairs in the rows, (pairs,).
 
-    2 to minus them are the Gaussians, if all ``handicaps`` (m,) are zero.
+    2 to the power of minus these are the Gaussians if all ``handicaps`` (m,) are zero.
     """
     exponents = np.empty(len(ring))
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
@@ -82,8 +82,8 @@ def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, r
                 exponent = exponents[at] + (1.0 - vec.dot(own, vec.load(n, ring[at]))) * falloff
                 weight[at - origin] = exponent
                 least = min(least, exponent)
-            # The largest Gaussian is made 1: the direction of the sum stays the same, and the
-            # sum cannot vanish by underflow.
+            # Scaled so that the largest Gaussian is 1: the direction of the sum is the same, and
+            # the sum cannot underflow.
             for at in vec.row_range(ring_start, f):
                 weight[at - origin] = least - weight[at - origin]
             f += ONE
@@ -133,7 +133,7 @@ def _repeat(
 ) -> Floats:
     given = spare = normals
     for _ in range(passes):
-        # The input must stay as it is; from the third pass on, two arrays take turns.
+        # The input must not change; from the third pass on, two arrays alternate.
         result = np.empty_like(normals) if spare is given else spare
         over_ranges(kernel, len(normals), normals.reshape(-1), *known, result.reshape(-1))
         normals, spare = result, normals
@@ -193,7 +193,7 @@ def joint_bilateral(
 
         A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j.
 
-    g the ``guides`` (m, 3), zeros where there is none.
+    g the ``guides`` (m, 3), zeros for none.
     """
     result = np.empty_like(normals)
     flat = normals.reshape(-1), guides.reshape(-1), centroids.reshape(-1)
@@ -212,14 +212,14 @@ def _average_similar(start, stop, n, threshold, ring_start, ring, result):
         weights = (1.0 - threshold) * (1.0 - threshold)
         total = vec.times(weights, own)
         for at in vec.row_range(ring_start, f):
-            # By ``vec.load`` the compiler would not take two neighbours at a time: a tenth more.
+            # ``vec.load`` would keep the compiler from processing two neighbours at once.
             g = THREE * ring[at]
             other = n[g], n[g + ONE], n[g + TWO]
             above = vec.dot(own, other) - threshold
             above = above if above > 0.0 else 0.0
             weights += above * above
             total = vec.add_scaled(total, above * above, other)
-        # A face without a normal finds none: a product of zero is below any threshold.
+        # A degenerate face has no neighbours: a product of zero is below any threshold.
         vec.write_unit(total, VANISHED * weights, n, f, result)
 
 
@@ -240,17 +240,16 @@ def threshold_averages(
     return _repeat(_average_similar, normals, known, passes, on_pass)
 
 
-# Face normals diffused across edges, the less the more an edge is bent.
-#
-# A step of the heat equation on the surface, in finite volumes: each face is a cell, and what
-# passes between two of them is proportional to the length of their edge and to the difference of
-# their normals, and to one over the way between their centroids.
+# Diffusion of face normals across edges, less across edges with larger angles.  A step of the heat
+# equation on the surface, in finite volumes: each face is a cell, and the flow between two of them
+# is proportional to the length of their edge and to the difference of their normals, and inverse to
+# the distance of their centroids.
 
 MAX_SHARE = 0.75
-"""Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
+"""Largest share of a normal that a step replaces by its neighbours; 1 keeps chequerboard noise."""
 
 MIN_SIMILARITY = 1e-6
-"""Floor of the width mu: differences of normals below it are rounding."""
+"""Minimum of the width mu: smaller differences of normals are rounding errors."""
 
 
 @compiled
@@ -266,7 +265,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
         for at in vec.row_range(ring_start, f):
             g = np.uint64(ring[at])
             i, j, k = vec.load_corners(faces, g)
-            # Without branches: where in the faces their edge is cannot be predicted.
+            # Without branches, because the position of the edge in the faces cannot be predicted.
             has_b = (b == i) | (b == j) | (b == k)
             has_c = (c == i) | (c == j) | (c == k)
             left = c if has_c else b
@@ -357,10 +356,10 @@ def diffused_normals(
 ) -> Floats:
     """Unit face normals (m, 3) after ``steps`` steps from those of the mesh.
 
-    n_i <- n_i + sum(s_ij g_ij (n_j - n_i)), normalised, with g = exp(-|n_j - n_i|^2 / (2 mu^2))
-    and s_ij = tau l_ij / (d_ij A_i), tau the ``time_step`` in squared file units.  A face for which
-    the s would add up to more than 3/4 takes a shorter step.  Neighbours share an edge, ``faces``
-    are (m, 3) and ``vertices`` (n, 3).
+    n_i <- n_i + sum(s_ij g_ij (n_j - n_i)), normalised, with g = exp(-|n_j - n_i|^2 / (2 mu^2)) and
+    s_ij = tau l_ij / (d_ij A_i), tau the ``time_step`` in squared file units.  A face for which the
+    sum of s exceeds 3/4 takes a shorter step.  Neighbours share an edge; ``faces`` (m, 3),
+    ``vertices`` (n, 3).
     """
     count = len(faces)
     normals, areas = face_normals_and_areas(vertices, faces)
@@ -389,7 +388,7 @@ def diffused_normals(
 # solve ((1 - lambda) M^T M + lambda I) n' = lambda n.
 
 ALONE = 1e-200
-"""A face whose neighbours weigh less, in mean face areas, is taken as one without neighbours."""
+"""With less total weight, in mean face areas, a face counts as one without neighbours."""
 
 
 @compiled
@@ -437,12 +436,12 @@ def _differences(
 class NormalSystem:
     """The matrix (1 - lambda) M^T M + lambda I, symmetric and positive definite."""
 
-    # ring_start, ring: rows of neighbouring faces, j among those of i where i is among those of j
+    # ring_start, ring: neighbouring faces in CSR form, a symmetric relation
     ring_start: Ints
     ring: Ints
     values: Floats  # (pairs,), w_ij / A_j
-    # areas, inverse: (m,), A_j and 1 / sum_j w_ij, both zero for a face without a normal; the
-    # second is zero for a face without neighbours as well, for which M n' is zero
+    # areas, inverse: (m,), A_j and 1 / sum_j w_ij, both zero for a degenerate face; the second also
+    # for a face without neighbours, for which M n' is zero
     areas: Floats
     inverse: Floats
     own: Floats  # (m,), 1 where ``inverse`` is not zero, else 0: the diagonal of M
@@ -498,8 +497,8 @@ def normal_system(
 #     E = sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2))),
 #     w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2)),
 #
-# the second sum over pairs of near faces, and lambda' = lambda sum_i A_i / sum_ij (w_ij without its
-# last factor).
+# the second sum over near faces, and lambda' = lambda sum_i A_i / sum_ij (w_ij without the last
+# factor).
 
 
 @compiled
@@ -535,12 +534,12 @@ def pair_weights(
     mu: float,
 ) -> tuple[Floats, float]:
     """w (k,) for the rows ``near`` (k,) and ``guides`` (m, 3), and lambda' / lambda, which is zero
-    where no faces are near one another."""
+    if no faces are near one another."""
     weights = np.empty(len(near))
     sums = np.empty(len(areas))
     rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
     over_ranges(_weigh, len(areas), guides, centroids, areas, *rows, weights, sums)
-    # Every pair is in two rows.
+    # Each pair is in two rows.
     total = float(sums.sum()) / 2.0
     return weights, float(areas.sum()) / total if total > 0.0 else 0.0
 
@@ -556,7 +555,7 @@ def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas
         count = near_start[i + 1] - row
         own = vec.load(n, i)
         for at in range(count):
-            # Unsigned, so that no index is looked at for being negative.
+            # Unsigned indices need no test for negative ones.
             other = vec.load(n, np.uint64(near[row + at]))
             vec.store(others, at, other)
             kernel[at] = per_difference * vec.square_distance(other, own)

@@ -1,14 +1,14 @@
-"""Face normals by regression: descriptors of every face, and the network that reads them.
+"""Face normals by regression: descriptors of each face, and the network that combines them.
 
-The network is small and weighs candidate normals.  The inputs of a face are its vectors along its
-three axes, one behind the other, and its numbers (``normal_descriptors``).  Each layer is W x + b,
-followed by x -> max(x, x / 64) but for the last.  The last one gives a coefficient for each vector;
-the normal is their combination, normalised.  So where all vectors are one, the normal is that one,
-whatever the coefficients.
+The network is small and weights candidate normals.  The inputs of a face are the coordinates of its
+vectors along its three axes, and its features (``normal_descriptors``).  Each layer is W x + b,
+followed by the leaky rectifier x -> max(x, x / 64) except for the last one, which gives a
+coefficient for each vector.  The normal is their normalised combination, so if all vectors are
+equal, it is that vector for any coefficients.
 
-Inputs and vectors are made for FACES at a time, and are not kept.  Every sum over inputs goes from
-the first to the last.  ``TILE`` outputs of twice ``LANES`` faces are summed at a time, which takes
-half of the registers that any processor has.
+Inputs and vectors are computed for FACES at once, and are not kept.  Sums over inputs go from the
+first to the last.  ``TILE`` outputs of twice ``LANES`` faces are summed at once, which takes half
+of the registers of any processor.
 """
 
 from __future__ import annotations
@@ -47,31 +47,31 @@ from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 from msal_cli.light_dataclass import dataclass
 
 MAX_NEAR = 63
-"""Faces near one at most, beside itself."""
+"""Largest number of faces near one, without itself."""
 
 OTHERS = 4
-"""Normals of the outcomes of other filters, given for a mesh: vectors of every stage."""
+"""Normals by other filters: vectors of each stage."""
 
 GUIDED = 2
-"""Vectors of every stage behind these: the face's own normals filtered by the first of them, with
-two ranges."""
+"""Vectors of each stage after these: the face's own normals filtered with the first as guide, two
+ranges."""
 
 EARLIER = 4
-"""Vectors that a later stage has in addition: the scanned normal, that of the stage before, and
-the first filtered by the second, with two ranges."""
+"""Additional vectors of later stages: the scanned normal, that of the stage before, and the first
+filtered with the second as guide, with two ranges."""
 
 STATISTICS = 5
-"""Numbers of a face, behind the others, that are given for a mesh."""
+"""Features of a face, after the others, that are the same for all stages."""
 
 ROOT_3 = 3.0**0.5
-"""The edge of equilateral triangles over the distance of their centroids."""
+"""Edge length of equilateral triangles over the distance of their centroids."""
 
 QUIET, MIN_LOUD = 0.14, 0.02
-"""The third of the STATISTICS up to which a face of an uneven mesh is quiet, about a third of the
-level; and the part of the faces that must be louder."""
+"""Value of the third of the STATISTICS up to which a face of a mesh with uneven noise is quiet,
+about a third of the level; and the share of louder ones from which they are ignored."""
 
 SAMPLED = 1 << 15
-"""Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
+"""Number of evenly spread faces, up to twice as many, for the medians of a mesh."""
 
 GLOBALS = 11
 """Inputs that are the same for all faces of a mesh."""
@@ -130,11 +130,12 @@ def _measure_heights(start, stop, left, normals, time, ripples):
 
 
 def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
-    """How rough the surface is at each vertex, (n, 4), in the unit of ``vertices`` (n, 3).
+    """Roughness of the surface at each vertex (ripples), (n, 4), in the unit of ``vertices`` (n,
+    3).
 
-    The distances along the ``normals`` (n, 3) that are left of the positions when the umbrella is
-    applied once, twice and three times: ever finer ripples.  The last is what is left sideways of
-    the second.  Boundary vertices have none.
+    The absolute components along the ``normals`` (n, 3) of the umbrella operator applied once,
+    twice and three times, for ever finer ripples; the last is the tangential length for the second.
+    They are zero at boundary vertices.
     """
     inner = links.has_ring & ~links.boundary
     left, ripples = vertices, np.empty((len(vertices), 4))
@@ -147,11 +148,11 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhoods:
-    """Which faces are near each face, the same for all stages."""
+    """The faces near each face, the same for all stages."""
 
-    ring_start: Ints  # ring_start, ring: rows of the faces that share an edge with each face
+    ring_start: Ints  # ring_start, ring: faces that share an edge with each face, in CSR form
     ring: Ints
-    # near_start, near: rows of the faces within ``WIDE`` local units, the nearest first
+    # near_start, near: faces within ``WIDE`` local units, the nearest first
     near_start: Longs
     near: Ints
 
@@ -166,7 +167,7 @@ def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
 # The network
 
 TILE = np.uint64(4)
-"""Outputs that are summed at a time; layers have a multiple of it, filled up with zeros."""
+"""Outputs that are summed at once; layers are padded with zeros to a multiple of it."""
 
 LEAK = np.float32(1.0 / 64.0)
 
@@ -276,13 +277,13 @@ def predict_normals(
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of a scan before its faces are described; see ``methods/_cascade``."""
+    """Evidence on a scan for the descriptors of its faces; see ``methods/_cascade``."""
 
-    noise: float | None  # standard deviation, mean edge lengths; None where it is not known
+    noise: float | None  # level of noise, mean edge lengths; None if unknown
     is_white: bool  # whether that is white noise along the normals
-    # whether much of the mesh has none of it, and does not count for what the whole mesh is like
+    # whether much of the mesh has no noise, and is left out of its medians
     is_uneven: bool
-    # (m, 3 OTHERS) normals that other filters give, beside each other; zero for none
+    # (m, 3 OTHERS) normals by other filters; zero for none
     normals: Floats32
     statistics: Floats32  # (m, STATISTICS) of the surroundings of each face
 
@@ -294,10 +295,9 @@ def count_vectors(stage: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Descriptors:
-    """What is known of every face in a stage."""
+    """The descriptors of all faces in a stage."""
 
-    # what ``lay_inputs`` makes inputs of: most of what is known is made where it is used, since to
-    # write it down takes as long
+    # arguments of ``lay_inputs``, which computes most descriptors: storing them takes as long
     sources: tuple[Any, ...]
     is_later: bool  # whether a stage came before
     globals: Floats32  # (GLOBALS,) the inputs that are the same for all faces
@@ -310,11 +310,11 @@ class Descriptors:
 
     @property
     def n_vectors(self) -> int:
-        """Candidates for the normal of a face."""
+        """Number of candidate vectors for the normal of a face."""
         return count_vectors(int(self.is_later))
 
     def predict(self, network: Network, normals: Floats | None = None) -> Floats:
-        """The unit normals (m, 3) that the network gives, in the memory of ``normals``."""
+        """The unit normals (m, 3) by the network, in the memory of ``normals``."""
         m = len(self.sources[1])
         normals = np.empty((m, 3)) if normals is None else normals
         sizes = self.n_vectors, network.n_in, network.n_hidden, network.n_out
@@ -326,28 +326,28 @@ class Descriptors:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Two hidden layers; see the top."""
+    """A network with two hidden layers; see the module's description."""
 
     # (bias (out,), matrix (out, in)) of each of the three
     layers: tuple[tuple[Floats32, Floats32], ...]
 
     @property
     def n_in(self) -> int:
-        """Inputs of a face."""
+        """Number of inputs of a face."""
         return int(self.layers[0][1].shape[1]) - GLOBALS
 
     @property
     def n_hidden(self) -> int:
-        """Numbers in each hidden layer."""
+        """Number of units in each hidden layer."""
         return len(self.layers[1][0])
 
     @property
     def n_out(self) -> int:
-        """Coefficients, filled up."""
+        """Number of coefficients, padded."""
         return _fill(len(self.layers[2][0]))
 
     def bound(self, values: Floats32) -> Floats32:
-        """All layers one behind another as the kernel reads them, for these global inputs."""
+        """The concatenated layers for the kernel, with these global inputs in the biases."""
         parts = []
         for at, (bias, matrix) in enumerate(self.layers):
             if at == 0:
@@ -362,20 +362,20 @@ class Network:
 
 
 def _fill(count: int) -> int:
-    """The next number of outputs that the kernel takes."""
+    """``count`` rounded up to a multiple of ``TILE``."""
     return -(-count // int(TILE)) * int(TILE)
 
 
 class NormalDescriber:
-    """Makes the descriptors of the faces of one mesh, stage by stage.
+    """Computes the descriptors of the faces of one mesh, stage by stage.
 
-    What it gives is overwritten by the next: memory that is new costs as much as the arithmetic.
+    Each call overwrites the result of the previous one, since new memory is slow.
 
     Parameters
     ----------
     faces, vertices : (m, 3) and (n, 3), the scan, from which the faces near each are found.
-    ring_start, ring : rows of the faces that share an edge with each face.
-    evidence : what is known of the scan.
+    ring_start, ring : faces that share an edge with each face, in CSR form.
+    evidence : on the scan.
     """
 
     def __init__(
@@ -420,7 +420,7 @@ class NormalDescriber:
         return Descriptors(inputs, earlier is not None, values)
 
     def _lay_marks(self, normals: Floats, areas: Floats) -> None:
-        """Take normals (m, 3) and areas (m,) for ``describe``; zero normals where there is none."""
+        """Store normals (m, 3), zero for degenerate faces, and areas (m,) for ``describe``."""
         around = self.around
         rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
         per_area = 1.0 / (float(areas.mean()) or 1.0)
@@ -429,8 +429,8 @@ class NormalDescriber:
 
 
 def _find_globals(known: Floats32, records: Floats32, evidence: Evidence) -> Floats32:
-    """What the whole mesh is like: medians of differences between means, of the deviation from
-    planes, of scatter and ripples; the level of the noise, whether it is known, and as white."""
+    """Global features: medians of differences between means, of the deviation from planes, of
+    scatter and ripples; the level of noise, whether it is known, and whether as white."""
     step = max(len(known) // SAMPLED, 1)
     known, records = known[::step], records[::step]
     if evidence.is_uneven:

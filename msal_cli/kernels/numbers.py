@@ -1,13 +1,13 @@
-"""Decimal digits to doubles and back, exactly.
+"""Exact conversion between decimal digits and doubles.
 
-A text is read and written eight bytes at a time, as one 64-bit word whose lowest byte is the first:
-unsigned offsets spare the test for negative ones, and the eight loads or stores become one.
+Text is read and written eight bytes at a time, as a 64-bit word whose lowest byte is the first:
+unsigned offsets need no test for negative ones, and the eight loads or stores become one.
 
-Nothing is approximate.  A number is read through the first of three ways that is sure of the last
+Nothing is approximate.  A number is read by the first of three methods that is sure of the last
 bit: mantissa and power of ten both exact in float64 (Clinger 1990), the 128-bit product of the
-mantissa with a truncated power of ten whose error is bounded (Lemire 2021), Python's ``float``.  It
-is written, as fixed-point text or as the shortest text that reads back, with all digits of its
-product with a power of ten, whose rounding error is known (Dekker 1971).
+mantissa with a truncated power of ten whose error is bounded (Lemire 2021), Python's ``float``.  A
+number is written, as fixed-point text or as the shortest text that reads back, from all digits of
+its product with a power of ten, whose rounding error is known (Dekker 1971).
 """
 
 import math
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msal_cli.kernels.library import compiled
 
-# As constants, so that the compiler sees eight neighbours and makes one load or store of them.
+# Constants, so that the compiler recognizes eight neighbours and makes one load or store.
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))
 _BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (
     np.uint64(8 * count) for count in range(1, 8)
@@ -69,7 +69,8 @@ def count_before(marks):
 
     Eight where none is marked.
     """
-    # The lowest bit set, less one: all bits below it, of which each byte's lowest is counted.
+    # The lowest set bit minus one sets all bits below it, of which the lowest of each byte is
+    # counted. The marked byte itself has its seven lower bits set.
     below = (marks - np.uint64(1)) & ~marks
     ones = np.uint64(0x0101010101010101)
     # The marked byte itself has its seven lower bits below.
@@ -80,7 +81,7 @@ def count_before(marks):
 def count_digits(word):
     """How many of the eight bytes are digits before the first that is none."""
     high = np.uint64(0x8080808080808080)
-    # A carry from byte to byte comes from one that is no digit, and so harms only later ones.
+    # A carry between bytes starts at one that is no digit, so it affects only later ones.
     over = word + np.uint64(0x4646464646464646)
     under = word - np.uint64(0x3030303030303030)
     return count_before((over | under) & high)
@@ -89,7 +90,7 @@ def count_digits(word):
 @compiled
 def parse_digits(word, count):
     """The number whose decimal digits are the first ``count`` (1 to 8) bytes."""
-    # The first digit is the lowest byte; zeros are put before it.
+    # The first digit is the lowest byte; zeros are inserted before it.
     word = (word - np.uint64(0x3030303030303030)) << np.uint64(64 - 8 * count)
     word = word * np.uint64(10) + (word >> np.uint64(8))
     pairs = np.uint64(0x000000FF000000FF)
@@ -115,14 +116,14 @@ _NAN, _INF, _INFINITY = (
 )
 
 EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
-"""What became of a token: its value is exact; it is no number; ``float`` must decide."""
+"""Status of a token: its value is exact; it is not a number; ``float`` must decide."""
 
 
 def _truncated_powers(lowest: int, highest: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """The leading 128 bits, cut off, of 10**q for ``lowest <= q <= highest``.
+    """The truncated leading 128 bits of 10**q for ``lowest <= q <= highest``.
 
-    Returns (k, 2) the high and low words, and (k,) the exponent e such that
-    ``high:low * 2**e <= 10**q < (high:low + 1) * 2**e``.
+    Returns (k, 2) the high and low words, and (k,) the exponent e such that ``high:low * 2**e <=
+    10**q < (high:low + 1) * 2**e``.
     """
     words = np.empty((highest - lowest + 1, 2), dtype=np.uint64)
     exponents = np.empty(highest - lowest + 1, dtype=np.int64)
@@ -139,7 +140,7 @@ def _truncated_powers(lowest: int, highest: int) -> tuple[NDArray[np.uint64], ND
 
 
 _REACH = 80
-"""Powers of ten up to this one, up and down, are in the table; ``float`` does the others."""
+"""Largest absolute exponent of the table of powers of ten; ``float`` reads the others."""
 
 _POWER_WORDS, _POWER_EXPONENTS = _truncated_powers(-_REACH, _REACH)
 FLOAT_POWERS = np.array([float(f"1e{q}") for q in range(23)])
@@ -212,7 +213,7 @@ def scale_exactly(mantissa, exponent):
     kept_bits = high >> np.uint64(cut + 1)
     rest = high & np.uint64((1 << (cut + 1)) - 1)
     half = np.uint64(1 << cut)
-    # The true product lies less than two units above: only there can the half be crossed.
+    # The true product is less than two units above: only there can the half be crossed.
     if (rest == half and low == np.uint64(0)) or (
         rest == half - np.uint64(1) and low >= np.uint64(0xFFFFFFFFFFFFFFFE)
     ):
@@ -251,7 +252,7 @@ def read_plain(buf, at):
     at += negative
     first = at
     mantissa = np.int64(0)
-    # One by one, because there are few: the processor guesses how many, and goes on meanwhile.
+    # One by one, because they are few, and the processor predicts how many.
     while at < len(buf) and at - first <= 9:
         digit = np.int64(buf[np.uint64(at)]) - 48
         if digit < 0 or digit > 9:
@@ -350,17 +351,17 @@ def read_number(buf, start, stop):
 
 
 MAX_DECIMALS = 17
-"""Decimals beyond which fixed-point text is not used."""
+"""Largest number of decimals of fixed-point text."""
 
 SHORTEST, SHORTEST_SINGLE = 18, 19
-"""In place of a number of decimals: the shortest text that is read back as the same float64, or
+"""Instead of a number of decimals: the shortest text that reads back as the same float64 or
 float32."""
 
 FIXED_BELOW = 2.0**63
-"""Magnitude from which on fixed-point text is not used."""
+"""Fixed-point text is used for smaller magnitudes only."""
 
 MAX_SHORTEST_WIDTH = 26
-"""Bytes that hold every ``repr`` of a float: ``-1.2345678901234567e-308`` has 24."""
+"""Bytes that are enough for any ``repr`` of a float: ``-1.2345678901234567e-308`` has 24."""
 
 
 @compiled
@@ -408,8 +409,8 @@ def _scaled_fraction(fraction, decimals, is_odd):
     beyond = scaled - np.float64(number) - 0.5
     if abs(beyond) > scaled * 2.0**-52:
         return number + (beyond > 0.0)
-    # The product's own rounding may hide on which side of the half it lies: what it left away,
-    # after Dekker (1971), is exact.
+    # The rounding of the product may hide on which side of the half it is: its error (Dekker 1971)
+    # is exact.
     spread = 134217729.0 * fraction
     fraction_high = spread - (spread - fraction)
     fraction_low = fraction - fraction_high
@@ -454,7 +455,7 @@ def write_fixed(value, decimals, out, at):
         number -= POWERS[decimals]
     out[np.uint64(at)] = 45
     at += np.int64((value < 0.0) & (whole + number > 0))
-    # The usual sizes apart, because the compiler puts short code in place of a call.
+    # The usual sizes separately, because the compiler inlines short code.
     if whole < 10:
         out[np.uint64(at)] = np.uint8(48 + whole)
         at += 1
@@ -473,7 +474,7 @@ def _rounded_to(value, n_digits, exponent):
     """Nearest integer (up to a tie) to value * 10**(n_digits - 1 - exponent), value > 0."""
     mantissa, power = _parts(value)
     high, _, shift = times_power(mantissa, n_digits - 1 - exponent)
-    # The result has 17 digits at most, so that it lies in the upper word.
+    # The result has 17 digits at most, so it is in the upper word.
     right = np.uint64(-(shift + power) - 64 - 1)
     doubled = high >> right
     return (doubled + np.uint64(1)) >> np.uint64(1)
@@ -487,7 +488,7 @@ def _reads_back(mantissa, exponent, value, single):
         return -1
     if not single:
         return 1 if back == value else 0
-    # In the middle of two float32, or beside it, readers differ: one digit more is clear.
+    # In or near the middle of two float32 readers differ; one digit more is unambiguous.
     below = np.float64(np.float32(back * (1.0 - 2.0**-52)))
     above = np.float64(np.float32(back * (1.0 + 2.0**-52)))
     return 1 if below == value and above == value else 0
@@ -510,7 +511,7 @@ def write_shortest(value, single, out, at):
     # float32 numbers below 1.2e-38 have fewer digits than the rest.
     if not 1e-60 < size < 1e60 or (single and size < 1.2e-38):
         return -1
-    # Low rather than high where the logarithm is unsure: too low shows, as one digit too many.
+    # If the logarithm is unsure, too low: that is detected by one digit too many.
     lowest = math.floor(math.log10(size) - 1e-12)
     is_power_of_two = _parts(size)[0] == np.uint64(1 << 52)
     exponent = lowest
@@ -526,7 +527,7 @@ def write_shortest(value, single, out, at):
             mantissa = _rounded_to(size, n_digits, exponent)
         reads = _reads_back(mantissa, exponent - n_digits + 1, size, single)
         if reads == 0 and is_power_of_two:
-            # The doubles above are twice as far apart as those below: the farther side may do.
+            # The doubles above are twice as far apart as those below: the other side may read back.
             mantissa += np.uint64(1)
             reads = _reads_back(mantissa, exponent - n_digits + 1, size, single)
         n_digits += 1

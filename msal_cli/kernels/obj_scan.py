@@ -1,9 +1,9 @@
-"""One walk over the bytes of an OBJ file: positions, normals, faces and what else there is.
+"""One pass over the bytes of an OBJ file: positions, normals, faces and other statements.
 
-A *line* ends at a line feed or a carriage return, so that CR LF ends it twice, which does no harm:
-an empty line means nothing.  A backslash before the end of a line continues it, but not in a
-comment (a path that ends in one would swallow the next vertex).  The bytes come from strangers and
-compiled code does not check bounds: every step here compares with the end of the data.
+A *line* ends at a line feed or a carriage return, so CR LF ends it twice, which is harmless,
+because empty lines mean nothing.  A backslash before the end of a line continues it, but not in a
+comment (a path that ends in one would swallow the next vertex).  The bytes are untrusted and
+compiled code does not check bounds: each step here compares with the end of the data.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ WHOLE = 0
 FULL = 1
 """An output array is full; call again with larger ones."""
 BAD_NUMBER = 2
-"""A word that must be a number is none."""
+"""A word that must be a number is not."""
 FEW_NUMBERS = 3
 """A position or a normal has fewer than three numbers."""
 BAD_CORNER = 4
@@ -26,7 +26,7 @@ BAD_CORNER = 4
 BAD_INDEX = 5
 """A face names vertex 0 or one before the first."""
 NO_CORNERS = 6
-"""A face has nothing behind its keyword."""
+"""A face has nothing after its keyword."""
 
 (
     AT,  # first byte not yet read; with an error, the statement that is wrong
@@ -54,10 +54,10 @@ NO_CORNERS = 6
 ) = range(22)
 
 MAX_KEYWORDS = 64
-"""Different other keywords that are distinguished; the last row takes the rest."""
+"""Largest number of different other keywords; the last row counts all further ones."""
 
 MAX_LIBRARIES = 1024
-"""Statements ``mtllib`` that are looked at."""
+"""Largest number of ``mtllib`` statements."""
 
 _BLOCK = 16_384
 
@@ -67,11 +67,10 @@ MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 @compiled
 def count_statements(buf):
     """At least as many v, vn and f statements as there are, hardly more in any real file; zeros."""
-    # The first and the last byte are looked at as neighbours only.
+    # The first and the last byte are used as neighbours only.
     n_vertices = n_normals = n_faces = 2
     n_zeros = 0
-    # Block by block, so that the second and third look find it in the cache; in plain sums, so
-    # that they become vector code.
+    # Block by block, so that later passes find it in the cache; as sums, for vector code.
     for begin in range(0, len(buf), _BLOCK):
         block = buf[max(begin - 1, 0) : begin + _BLOCK + 1]
         vertices = faces = normals = zeros = 0
@@ -336,7 +335,7 @@ def scan(
             first_corner, word = n_corners, at
             before_first = state[BEFORE_FIRST]
             while True:
-                # Short and small, for the corners v that many files have nothing else but.
+                # A short path for corners v, the only ones in many files.
                 if at + 1 < len(buf) and buf[at] == 32 and n_corners < len(corners):
                     number = np.int64(0)
                     end = at + 1

@@ -1,18 +1,17 @@
-"""Operators of equation (2): what a sweep adds to each vertex, before time step and fidelity.
+"""Operators of equation (2): the displacement of each vertex in a sweep.
 
 An operator is called with the current positions x (n, 3) and returns a ``Step``.  One that moves
-vertices along fixed normals returns heights; the sweep engine then keeps each vertex on its
-normal line, so that it cannot drift tangentially.  Others return vectors.
+vertices along fixed normals returns heights; the sweep engine then keeps each vertex on its normal
+line, so that it cannot drift tangentially.  Others return vectors.
 
 A loop over the five to seven neighbours of one vertex is too short for vector code.  So the
-operators of the paper take vertices by blocks that stay in the first-level cache, and group those
-of a block by their number of neighbours m.  A group has a lane for every vertex, filled up to whole
-vectors, and what belongs to the k-th neighbour of all its lanes is side by side: a row as wide as
-the group.  Then every loop over lanes is vector code, and every sum over neighbours still runs from
-the first to the last, so that no bit depends on the block, the lane or the thread of a vertex.
+operators of the paper process vertices in blocks that stay in the first-level cache, and group
+those of a block by their valence m.  A group has a lane for each vertex, padded to whole vectors,
+and a row for the k-th neighbours of all its lanes.  Then each loop over lanes is vector code, while
+sums over neighbours run from the first to the last, so that no bit depends on the block, the lane
+or the thread of a vertex.
 
-Counts and indices are uint64, which need no look at their sign: an index that might count from the
-end would keep loops from becoming vector code.
+Counts and indices are uint64: signed indices would prevent vector code.
 """
 
 from typing import Protocol
@@ -30,22 +29,22 @@ from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, sort_fe
 from msal_cli.light_dataclass import dataclass
 
 BLOCK = np.uint64(256)
-"""Vertices in a block at most: with 6 neighbours each their heights take 12 KiB."""
+"""Largest number of vertices in a block: with 6 neighbours each their heights take 12 KiB."""
 
 BLOCK_EDGES = np.uint64(2048)
-"""Edges in a block at most, but for a single vertex that has more."""
+"""Largest number of edges in a block, except for a single vertex that has more."""
 
 VECTOR = np.uint64(8)
-"""Lanes come in multiples of this: the numbers in a vector of 512 bits."""
+"""Groups have a multiple of this number of lanes: the numbers in a vector of 512 bits."""
 
 LANES = np.uint64(2048)
-"""Lanes of a block at most: every vertex may be alone in its group."""
+"""Largest number of lanes of a block: each vertex may be alone in its group."""
 
 PARTS = (np.uint64(0), LANES, TWO * LANES, THREE * LANES, TWO * TWO * LANES)
-"""Where the scratch memory of a kernel has sigma, sum(g h) and sum(g) by lane, and two more."""
+"""Offsets of sigma, sum(g h) and sum(g) by lane, and of two more, in the scratch memory."""
 
 ROWS = (TWO + THREE) * LANES
-"""Where the rows begin in it."""
+"""Offset of the rows in it."""
 
 _FILL, _SHIFT = np.uint64(7), np.uint64(3)
 
@@ -88,27 +87,26 @@ def block(first, stop, ring_start, widest, origin, table):
 
 
 MIN_SIGMA = 1e-9
-"""Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""
+"""Minimum of sigma in the exponent, mean edge lengths: far below the rounding of scans."""
 
 MIN_LENGTH = np.finfo(np.float64).tiny ** 0.5
-"""Its square is still a number: the floor on a mesh of no size."""
+"""Minimum of sigma on a mesh of size zero: its square does not underflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one operator call found."""
+    """The result of an operator."""
 
-    # the displacement dx before time step and fidelity, file units: (n,) heights along each
-    # vertex's normal, or (n, 3)
+    # the displacement dx before time step and fidelity, file units: (n,) heights along the normals
+    # of the vertices, or (n, 3)
     move: Floats
-    # (n,), the local scale of eq. (4), file units, zero where the one-ring is planar; None from an
-    # operator that does not compute it
+    # (n,), sigma of eq. (4), file units, zero if the one-ring is planar; None if it is not computed
     sigma: Floats | None = None
-    largest_sigma: float | None = None  # its maximum, where it was found on the way
+    largest_sigma: float | None = None  # its maximum, if the operator computes it
 
 
 class Operator(Protocol):
-    """What a sweep adds to each vertex: the dx of equation (2).
+    """The dx of equation (2), the displacement of each vertex in a sweep.
 
     ``normals`` are the fixed unit normals (n, 3) along which the operator moves, zeros where a
     vertex must not move; None if it moves vertices freely.
@@ -120,7 +118,7 @@ class Operator(Protocol):
         ...
 
     def __call__(self, positions: Floats) -> Step:
-        """The step at ``positions`` (n, 3), every vertex from these same positions."""
+        """The step at ``positions`` (n, 3), for all vertices from these same positions."""
         ...
 
 
@@ -155,7 +153,7 @@ def _filter_rings(
     stop = np.uint64(stop)
     widest = longest_row(start, stop, ring_start)
     is_bilateral = closeness > 0.0
-    # As many rows again as heights: exponents by distance.
+    # As many more rows as for heights: exponents by distance.
     apart = VECTOR * max(BLOCK_EDGES, widest)
     room = np.zeros(ROWS + (TWO * apart if is_bilateral else apart))
     lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
@@ -167,7 +165,7 @@ def _filter_rings(
         last, fewest, most = block(first, stop, ring_start, widest, ROWS, table)
         for i in range(first, last):
             point = THREE * i
-            # The signs of both factors are turned, so that x_k is loaded as it is subtracted.
+            # The signs of both factors are reversed, so that x_k is subtracted while it is loaded.
             nx, ny, nz = -normals[point], -normals[point + ONE], -normals[point + TWO]
             xi, yi, zi = x[point], x[point + ONE], x[point + TWO]
             edge = np.uint64(ring_start[i])
@@ -262,8 +260,8 @@ def _filter_rings(
                 for _ in range(m):
                     for at in range(width):
                         h = room[row + at]
-                        # The largest weight is made 1: the quotient of eq. (5) stays the same,
-                        # and cannot become 0/0 where sigma is tiny.
+                        # Scaled so that the largest weight is 1: the quotient of eq. (5) is the
+                        # same, and never 0/0 if sigma is tiny.
                         g = vec.power_of_two((room[least + at] - h * h) * room[factors + at])
                         room[weights + at] += g
                         room[sums + at] += g * h
@@ -332,8 +330,8 @@ class RingOperator:
     ) -> None:
         """A whole sweep in one pass, with the same lambda for all: v + t n into ``moved`` (n, 3).
 
-        ``vertices`` are v, ``positions`` where they are now, both (n, 3); ``offsets`` t (n,) are
-        changed.  ``moved`` shares no memory with the others.
+        ``vertices`` are v, ``positions`` the current ones, both (n, 3); ``offsets`` t (n,) are
+        updated.  ``moved`` shares no memory with the others.
         """
         none, v = np.empty(0), vertices.reshape(-1)
         self._run(positions, none, none, v, offsets, time_step, constant, moved.reshape(-1))
@@ -348,8 +346,8 @@ class RingOperator:
         )
 
 
-# The same with other weights and scales, and scaled for irregular meshes: a second kernel, since
-# the first is made for speed, and this one has the choices.
+# Variants with other weights and scales, and scaled for irregular meshes: a second kernel, so that
+# the first one stays fast.
 
 WEIGHTS = ("gauss", "tukey", "lorentz", "huber", "none")
 DEVIATIONS = ("mean", "median")
@@ -400,7 +398,7 @@ def _weigh(h, lengths, m, weights, sigma, g):
                 flattest = min(flattest, h[at] * h[at])
         inverse = 0.5 / (sigma * sigma)
         for at in range(m):
-            # Where the edge has no length the height is zero and the weight is not used.
+            # For an edge of length zero the height is zero and the weight is not used.
             g[at] = min((flattest - h[at] * h[at]) * inverse, 0.0)
         vec.exponentials(g, m)
         return
@@ -495,13 +493,13 @@ class RobustLaplacian:
         huber    1 where |h| <= sigma, else sigma / |h|
         none     1
 
-    Where every neighbour is beyond Tukey's reach all count alike.  sigma is 2 mean|h - mean h|
+    If all neighbours are beyond Tukey's reach their weights are equal.  sigma is 2 mean|h - mean h|
     (eq. 4) or 1.4826 median|h - median h|.
 
     Scaling by ``mass`` gives min(tau, A/3) d / (A/3) with A the area of the one-ring; by ``edge``
-    min(tau, sum(g l) / sum(g / l)) sum(g h / l) / sum(g l) with l the edge lengths, those of
-    length zero left out.  The minima are each vertex's limit of stability: there it reaches a
-    weighted mean of its neighbours' heights, beyond it the explicit step overshoots."""
+    min(tau, sum(g l) / sum(g / l)) sum(g h / l) / sum(g l) with l the edge lengths, those of length
+    zero left out.  The minima are each vertex's limit of stability: there it moves to a weighted
+    mean of its neighbours' heights; larger explicit steps overshoot."""
 
     # (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion
     normals: Floats

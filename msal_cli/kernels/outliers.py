@@ -1,7 +1,7 @@
-"""Single vertices far out of the surface that their neighbours make.
+"""Scores of single vertices that are far off the surface of their neighbours.
 
 A vertex is compared with a fit to its two-ring without itself, and its faces with those around
-them.  Everything is local, and in units of local edges that the vertex itself has no part in.
+them.  Everything is local, in units of local edge lengths without the vertex itself.
 """
 
 import numpy as np
@@ -15,89 +15,90 @@ from msal_cli.kernels.patch_fits import MAX_VERTICES, SLOTS, collect_patch, find
 from msal_cli.kernels.vectors import sort_few
 
 MAX_FACES = 24
-"""Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
+"""Vertices with more faces get no score: the poles of a sphere are no outliers."""
 
 MIN_VERTICES = 10
-"""Vertices of a patch, without its middle one, from which a surface of degree 2 can be fitted."""
+"""Vertices of a patch, without the central one, that a quadratic needs."""
 
 FITS = 4
-"""Fits, each weighted by what the one before leaves over."""
+"""Number of fits, each weighted by the residuals of the previous one."""
 
 TERMS = 6
 """Monomials in two variables up to degree 2."""
 
 STIFFNESS = 0.5
-"""Weight of vertices for which curvature has to pay: so that few of them do not bend the fit."""
+"""Penalty of curvature, in weights of vertices, so that few vertices do not bend the fit."""
 
 WIDTH = 2.0
-"""Of the weights, in medians of what a fit leaves over."""
+"""Width of the weights, over the median residual."""
 
 MIN_WIDTH = 1e-3
-"""Of the weights, local edges: where all others are on one plane."""
+"""Smallest width of the weights, local edge lengths, for coplanar neighbours."""
 
 KEPT_WAY = 0.35
-"""Local edges from the middle of its neighbours up to which a vertex keeps its place along the
-surface; one further out has gone there with the outlier."""
+"""Distance from the mean of its neighbours, local edge lengths, up to which a vertex keeps its
+tangential position; a larger one is part of the error."""
 
 QUIET = 0.7
-"""Share of the patch, from the roughest on, whose corners are rougher than what counts as its
-noise: creases and other outliers are rough, and noise is everywhere."""
+"""Quantile of the agreements in a patch that measures its texture: creases and other outliers are
+rough in few places, noise everywhere."""
 
 MIN_PER_THREAD = 256
-"""Vertices to be judged for which a thread of its own is worth starting."""
+"""Vertices to be scored for which an additional thread is worth starting."""
 
 MIN_WAY = 0.75
-"""Local edges from its place on the fit from which a vertex can be an outlier."""
+"""Distance from its projection, local edge lengths, from which a vertex can be an outlier."""
 
 EARLY_WAY = 0.65
-"""The same after the first of the fits: the others move it by much less than the difference."""
+"""The same after the first fit: later ones move the projection by much less than the difference."""
 
 NEAR, NEAR_BY_SCORE = 0.43, 0.17
-"""Local edges from the middle of its neighbours up to which a vertex has no score above 0, and no
-fit is made, and how many more for each 1 of the score.  Of 270,000 with more than 0.5 the nearest
-was at 0.58, of 105,000 with more than 1.3 at 0.73."""
+"""Distance from the mean of its neighbours, local edge lengths, below which a vertex needs no fit,
+as its score is not above 0, and its increase for each 1 of the score.  Of 270,000 vertices with
+scores above 0.5 the nearest was at 0.58, of 105,000 with scores above 1.3 at 0.73."""
 
 MIN_EDGES = 0.65
-"""The same in mean edges of the mesh: folds of tiny faces are none."""
+"""The same as ``MIN_WAY`` in mean edge lengths of the mesh: folds of tiny faces are no outliers."""
 
 MIN_GAIN = 0.05
-"""Difference of normals, on average, by which its place on the fit has to be smoother."""
+"""Reduction of the roughness that the projection of an outlier brings at least."""
 
 ALONG, ROUGH, SMOOTH, NOISE, TEXTURE = 1.2, 0.8, 1.4, 1.0, 2.2
-"""Weights of a score: of the way along the surface, the roughness at the vertex and at its place on
-the fit, what the fit leaves over at the others, and the roughness of the corners around it; the way
-across the surface has 1.  By logistic regression over outliers, noise and clean meshes; a score of
-1 more is about 300 times the odds."""
+"""Weights of a score: of the tangential distance, the roughness at the vertex and at its
+projection, the residual at the others, and the texture around it; the distance along the normal has
+1.  By logistic regression over outliers, noise and clean meshes; 1 more multiplies the odds by
+about 300."""
 
 FARTHEST, MARGIN = (1.0 + ALONG * ALONG) ** 0.5, 0.1
-"""Weight of the way from the middle of the neighbours that those across and along the surface do
-not exceed together, if that is on the fit; and by how much a score may exceed what it can be by
-that way, or after the first fit.  Of 360,000 scores above 0.5 one exceeded the former by 0.0001,
+"""Largest weighted sum of the normal and tangential distances, over the distance from the mean of
+the neighbours, if that is on the fit; and by how much a score may exceed its bounds by that
+distance, or after the first fit.  Of 360,000 scores above 0.5 one exceeded the former by 0.0001,
 and five the latter by more than 0.1, all of them above 2.9."""
 
 MIN_SCORE = 0.4
-"""Scores up to which no vertex is ever an outlier, and it is not asked whether it is designed."""
+"""Scores up to which no vertex is an outlier, so that tests for designs are skipped."""
 
 FLAT = 1e-4
-"""Mean edges of the mesh by which a face may leave the plane of the next one, where both are one
-flat side of a design; by chance 1 in 1,000 outliers has such faces."""
+"""Largest distance of a face from the plane of the next one, mean edge lengths, if both are one
+flat side of a design; 1 in 1,000 outliers has such faces by chance."""
 
 STRAIGHT = 1e-3
-"""Length of a chord over which its middle may leave it where three neighbours lie on a line."""
+"""Largest distance of the middle of three collinear neighbours from their chord, over its
+length."""
 
 TOUCHING = 0.15
-"""Local edges from its nearest neighbour below which a vertex is not off the surface on its own:
-needle triangles end so, and 1 in 500 outliers."""
+"""Distance to its nearest neighbour, local edge lengths, below which a vertex is not off the
+surface by itself: tips of needle triangles, and 1 in 500 outliers."""
 
 UNLIKE_EDGES = 6.0
-"""Ratio of the longest tenth to the shortest tenth of the edges around, above which no fit says
-what is off: meshes from scanners have 1.5 to 4, coarse exports of designs up to 1,000."""
+"""Ratio of the 90 % to the 10 % quantile of the edges around above which no fit is reliable: scans
+have 1.5 to 4, coarse CAD exports up to 1,000."""
 
 MAX_LENGTHS = 512
-"""Edges around a vertex that are compared."""
+"""Largest number of edges around a vertex that are compared."""
 
 NOT_JUDGED = -np.inf
-"""The score of a vertex that is no outlier whatever the bound."""
+"""The score of a vertex that is never an outlier."""
 
 
 @compiled
@@ -325,7 +326,7 @@ def _judge(
         if n < 3 or n > MAX_FACES:
             continue
         _around(i, faces, face_start, incident, after, before)
-        # The local edge, and the middle of the neighbours; those that stick out count little.
+        # The local edge length, and the mean of the neighbours; rough ones count little.
         middle = vec.ORIGIN
         size = total = 0.0
         for k in range(n):
@@ -361,7 +362,7 @@ def _judge(
         most = FARTHEST * np.sqrt(square) + ROUGH * now - TEXTURE * texture + MARGIN
         if most <= floor and not is_known:
             continue
-        # The direction of the neighbours' other faces.
+        # The mean normal of the neighbours' other faces.
         normal = vec.ORIGIN
         for k in range(n):
             a = after[k]
@@ -412,7 +413,7 @@ def _judge(
             nearest = min(nearest, vec.square_distance(vec.load(x, after[k]), point))
         if nearest < (TOUCHING * size) ** 2:
             continue
-        # Of the faces as they are; those with the vertex in its place were the last.
+        # Restores the normals of the actual faces, overwritten by those of the projection.
         _roughness(point, n, x, fan)
         if _has_flat_side(point, n, x, faces, fan, FLAT * edge):
             continue
@@ -449,7 +450,7 @@ def measure_agreement(
     x: Floats, faces: Ints, links: Connectivity, chosen: Longs, agreements: Floats
 ) -> None:
     """Set ``agreements`` (n,) of the vertices ``chosen`` (c,): the length of the mean of their
-    faces' unit normals, 1 where these are the same and 0 where they are all ways."""
+    faces' unit normals, 1 if these are equal and 0 if they cancel."""
     around = links.incidence
     over_ranges(_agreements, len(chosen), x, faces, *around, chosen, agreements)
 
@@ -465,15 +466,15 @@ def judge(
     is_known: bool,
     floor: float,
 ) -> tuple[Floats, Floats]:
-    """How far out the vertices ``chosen`` (c,) are at ``places`` (c, 3) among all others at ``x``.
+    """Scores of the vertices ``chosen`` (c,) at ``places`` (c, 3), with all others at ``x``.
 
-    Those that will not have a score above ``floor`` are passed over unless ``is_known``.
+    Vertices that cannot have a score above ``floor`` are skipped unless ``is_known``.
 
     Returns
     -------
-    scores : (c,), greater is further out; ``NOT_JUDGED`` where a vertex cannot be an outlier: on an
-        open border, with too few others around it, or too near to its place on the fit.
-    targets : (c, 3), their places on the fit.
+    scores : (c,), greater is farther out; ``NOT_JUDGED`` if a vertex cannot be an outlier: on the
+        boundary, with too few others around it, or too near to its projection.
+    targets : (c, 3), their projections on the fit.
     """
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
     around = faces, *links.incidence, *links.one_ring
@@ -483,7 +484,7 @@ def judge(
 
 
 def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
-    """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
+    """The vertices whose score (n,) is above ``bound`` and the maximum of their one-ring."""
     chosen = np.flatnonzero(scores > bound)
     picked = np.empty(len(chosen), dtype=np.bool_)
     over_ranges(_pick, len(chosen), chosen, scores, *links.one_ring, picked)
@@ -491,7 +492,7 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
 
 
 def find_two_rings(chosen: Longs, links: Connectivity) -> Longs:
-    """The vertices ``chosen`` (c,) and those at most two edges away from one, in order."""
+    """The vertices ``chosen`` (c,) and those at most two edges from one, ascending."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
     _marked_around(chosen, *links.one_ring, marks)
     return np.flatnonzero(marks)

@@ -1,4 +1,4 @@
-"""Share work between threads without changing a bit of its result."""
+"""Sharing of work between threads, without an effect on any bit of the result."""
 
 import functools
 import os
@@ -16,14 +16,14 @@ MIN_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
 
 MIN_COUNT = 100_000
-"""Items below which different work on them is not worth a thread each."""
+"""Items below which different tasks on them are not worth a thread each."""
 
 MARKING_THREADS = 4
-"""Threads for kernels of which each marks all items: of more the marks would take much memory."""
+"""Largest number of threads of kernels that need a mark for each item in each thread."""
 
 
 def threads() -> int:
-    """Threads a kernel may use: ``MSAL_THREADS`` where it is a positive number, else all cores."""
+    """Threads that a kernel may use: ``MSAL_THREADS`` if it is positive, else all cores."""
     wanted = os.environ.get("MSAL_THREADS", "")
     if wanted.isascii() and wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
@@ -37,18 +37,17 @@ def over_ranges(
     smallest: int | None = None,
     most: int | None = None,
 ) -> list[Any]:
-    """Call ``kernel(start, stop, *arguments)`` so that the ranges cover ``0 ... count``.
+    """Call ``kernel(start, stop, *arguments)`` for ranges that cover ``0 ... count``, in threads.
 
-    Returns what the ranges returned, in their order.
+    Returns the results of the ranges, in their order.
 
-    The kernel must release the interpreter lock and write only to items of its own range; then
-    the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items,
-    by default ``MIN_RANGE``; there are no more than ``most`` ranges.  An exception of any
-    range is raised here.
+    The kernel must release the interpreter lock and write only to items of its own range; then the
+    result cannot depend on the number of threads.  No range has fewer than ``smallest`` items, by
+    default ``MIN_RANGE``, and there are at most ``most`` ranges.  Exceptions are raised here.
     """
     least = MIN_RANGE if smallest is None else smallest
     parts = min(count // least, count if most is None else most)
-    # Small meshes call kernels by the thousand: they need not ask how many threads there are.
+    # For small meshes, which call kernels by the thousand, the number of threads is not needed.
     parts = min(parts, threads()) if parts > 1 else 1
     if parts == 1:
         return [kernel(0, count, *arguments)]
@@ -61,22 +60,19 @@ def over_ranges(
 def fill_array(
     kernel: Callable[..., Any], shape: int | tuple[int, ...], *arguments: object
 ) -> Floats:
-    """A new array of this shape whose items ``kernel(start, stop, *arguments, array)`` computes.
-
-    The ranges are those of ``over_ranges``.
-    """
+    """A new array that ``kernel(start, stop, *arguments, array)`` fills, see ``over_ranges``."""
     array = np.empty(shape)
     over_ranges(kernel, len(array), *arguments, array)
     return array
 
 
 def is_worth_it(count: int) -> bool:
-    """Whether different work on ``count`` items should be shared between threads."""
+    """Whether different tasks on ``count`` items should run in threads."""
     return count >= MIN_COUNT and threads() > 1
 
 
 def at_once(count: int, *tasks: Callable[[], Any]) -> list[Any]:
-    """What the tasks return, which work on some ``count`` items and not on each other's results.
+    """The results of independent tasks on about ``count`` items, in threads if that is worth it.
 
     The first exception, in the order of the tasks, is raised here.
     """
@@ -84,7 +80,7 @@ def at_once(count: int, *tasks: Callable[[], Any]) -> list[Any]:
 
 
 def _run(calls: Sequence[Callable[[], Value]]) -> list[Value]:
-    """What the calls return; each in a thread, the first here."""
+    """The results of the calls, each in a thread, the first in this one."""
     results: list[Value] = []
     failures: list[BaseException] = []
     for wait in (calls[0], *[in_background(call) for call in calls[1:]]):

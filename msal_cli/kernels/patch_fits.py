@@ -1,9 +1,9 @@
-"""Polynomials fitted to the surface around single vertices, and what they leave over.
+"""Polynomials fitted to the surface around single vertices, and their residuals.
 
-A smooth surface is nearly a polynomial over a few vertices, and noise is not: of white noise a fit
-leaves the share that its degrees of freedom give, however the vertices lie, and the same variance
-for patches of every size.  Noise that neighbours share looks like shape to fits over few vertices,
-and leaves more to wider ones, up to the width over which it is shared.
+A smooth surface is nearly a polynomial over a few vertices, and noise is not.  Of white noise a fit
+leaves the share that its degrees of freedom give, wherever the vertices are, and the same residual
+variance for patches of each size.  Correlated noise looks like shape to fits over few vertices, and
+leaves more to wider ones, up to the width of the correlation.
 """
 
 import numpy as np
@@ -14,45 +14,45 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 MAX_VERTICES, MAX_WIDE_VERTICES = 40, 200
-"""Vertices of a patch of two rings at most, those further out are left out; and of a wide one,
-where a fit that would need more is left out."""
+"""Largest number of vertices of a two-ring patch, without those farther out; and of a wide patch,
+beyond which there is no fit."""
 
 SLOTS, WIDE_SLOTS, EMPTY = 128, 512, -1
-"""Places of the tables in which a patch looks up its vertices, powers of two."""
+"""Sizes of the hash tables of the vertices of a patch, powers of two; and the empty slot."""
 
 MIN_PATCHES, MIN_WIDE_PATCHES = 256, 64
-"""Patches for which a thread of its own is worth starting."""
+"""Patches for which an additional thread is worth starting."""
 
 PLANE_TERMS, QUADRIC_TERMS, CUBIC_TERMS, SEXTIC_TERMS = 3, 6, 10, 28
 """Monomials in two variables up to degree 1, 2, 3 and 6; products of two cubic ones have six."""
 
 HEIGHT, VERTEX, WIDTH = 10, 11, 12
-"""Rows and columns of the normal equations after the monomials', and how many there are: for the
-heights, and for the value at the vertex that the patch is around."""
+"""Indices in the normal equations after those of the monomials, for the heights and for the value
+at the central vertex; and the number of rows and columns."""
 
 DEPENDENT = 1e-8
-"""What is left of a monomial's sum of squares beside the others, relative to all of it, at and
-below which the patch cannot distinguish them."""
+"""Share of a monomial's sum of squares that is independent of the other monomials, up to which the
+patch cannot distinguish them."""
 
 ROUNDING, WIDE_ROUNDING = 1e-13, 1e-12
-"""What is left of the heights' sum of squares, relative to all of it, at and below which it is
-rounding; where the heights themselves are, 1e-22 of the patch's."""
+"""Residual sum of squares of the heights, relative to all of it, up to which it is a rounding
+error; so it is up to 1e-22 of the squared size of the patch."""
 
 MIN_FREEDOMS = 5
 """Degrees of freedom above which a single vertex can be compared with the others."""
 
 MAX_LEVERAGE = 0.95
-"""Pull of a vertex on its own fit above which nothing is left of its noise to judge it by."""
+"""Leverage of a vertex on its own fit from which its residual says nothing of its noise."""
 
 REACHES = (1, 2, 3, 4, 6)
-"""Rings that the fits of ``fit_scales`` are over."""
+"""Numbers of rings of the fits of ``fit_scales``."""
 
 TERMS = (3, 6, 10, 10, 10)
-"""Their coefficients: a plane, degree 2, and degree 3."""
+"""Their numbers of coefficients: a plane, a quadratic, and cubics."""
 
 N_FITS, MAX_RINGS, FRAME_RINGS = 5, 6, 2
-"""How many fits there are, the widest of them, and over which rings the direction of the heights is
-an average."""
+"""The number of fits, the rings of the widest one, and the rings over which heights' direction is
+averaged."""
 
 
 @compiled
@@ -264,7 +264,7 @@ def _fit_patches(
         along[:] = 0.0
         rank = added = 0
         for fit in range(4):
-            # Over the one-ring a plane, then degree 2; over the two-ring degree 2, then degree 3.
+            # Plane and quadratic over the one-ring, quadratic and cubic over the two-ring.
             rows = near if fit < 2 else count
             _add_vertices(found, added, rows, vertices, frame, scale, terms, own, sums, along)
             added = rows
@@ -292,19 +292,19 @@ def _fit_patches(
 def fit_patches(
     chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
 ) -> tuple[Floats, Ints, Floats, Floats]:
-    """What polynomials leave over of the heights around the vertices ``chosen`` (c,).
+    """Residuals of polynomials fitted to the heights around the vertices ``chosen`` (c,).
 
-    The four fits are a plane and degree 2 over the one-ring, and degrees 2 and 3 over the two-ring.
-    Heights are over the plane across the sum of the patch's ``normals`` (n, 3).
+    The four fits are a plane and a quadratic over the one-ring, and a quadratic and a cubic over
+    the two-ring.  Heights are along the mean of the patch's ``normals`` (n, 3).
 
     Returns
     -------
-    variances : (c, 4), sum of the squares left over, by the degrees of freedom; squared units.
-    freedoms : (c, 4), vertices of the patch less coefficients of the fit; 0 where none is left.
-    gaps : (c,), from the degree 2 that all others of the two-ring give to the vertex, along the
-        normal; 0 where they give none.
-    ratios : (c,), Student's ratio of that gap, without sign: how far out the vertex is for what the
-        others are around it; -1 where that is not known.
+    variances : (c, 4), residual sum of squares per degree of freedom; squared file units.
+    freedoms : (c, 4), vertices of the patch minus coefficients of the fit; 0 for no residual.
+    gaps : (c,), distance along the normal from the quadratic that all others of the two-ring
+        determine to the vertex; 0 if they determine none.
+    ratios : (c,), absolute Student's ratio of that gap (the externally studentized residual);
+        -1 if unknown.
     """
     count = len(chosen)
     variances, freedoms = np.empty((count, 4)), np.empty((count, 4), dtype=np.int32)
@@ -370,19 +370,19 @@ def _fit_scales(
 def fit_scales(
     chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
 ) -> tuple[Floats, Ints, Ints, Floats, Floats]:
-    """What polynomials leave over of the heights around the vertices ``chosen`` (c,), by width.
+    """Residuals of polynomials fitted to the heights around the vertices ``chosen`` (c,), by width.
 
-    The fits are over the ``REACHES`` rings, with so many ``TERMS``.  Heights are over the plane
-    across the sum of the two-ring's ``normals`` (n, 3).
+    The fits are over ``REACHES`` rings, with ``TERMS`` coefficients.  Heights are along the mean of
+    the two-ring's ``normals`` (n, 3).
 
     Returns
     -------
-    rests : (c, 5), sums of the squares left over; squared units.
-    rows : (c, 5), vertices of the fit; 0 where they are too many.
+    rests : (c, 5), residual sums of squares; squared file units.
+    rows : (c, 5), vertices of the fit; 0 if they are too many.
     ranks : (c, 5), coefficients of the fit that the vertices determine.
-    frames : (c, 3), unit vectors that the heights are along; 0 where there is no direction.
-    offsets : (c, 3), from the middle of the one-ring to the vertex, times sqrt(v / (v + 1)) with v
-        neighbours: of as much variance as the vertices, where their places are independent.
+    frames : (c, 3), unit vectors that the heights are along; 0 if there is no direction.
+    offsets : (c, 3), from the mean of the one-ring to the vertex, times sqrt(v / (v + 1)) for
+        valence v: the variance is that of the vertices if these are independent.
     """
     count = len(chosen)
     rests = np.empty((count, N_FITS))

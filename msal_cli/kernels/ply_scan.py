@@ -1,10 +1,10 @@
-"""Walks over PLY data whose records differ in length, and the triangles of polygons and strips.
+"""Passes over PLY data whose records differ in length, and the triangles of polygons and strips.
 
-Ascii records are read by two quick walks, ``read_scalars`` and ``read_lists``; ``walk_text`` finds
-the places of all tokens, and what is wrong where something is.
+Ascii records are read by two fast passes, ``read_scalars`` and ``read_lists``; ``walk_text`` finds
+the positions of all tokens, and errors.
 
-The bytes come from strangers: every kernel here compares with the end of the data *before* it
-reads, since compiled code does not check bounds.  Offsets are bytes from the start of the file.
+The bytes are untrusted: each kernel here compares with the end of the data *before* it reads, since
+compiled code does not check bounds.  Offsets are bytes from the start of the file.
 """
 
 import numpy as np
@@ -29,9 +29,9 @@ BAD_COUNT = 2
 TOO_FEW = 3
 """An ascii line ends before all values of its record."""
 TOO_MANY = 4
-"""An ascii line goes on after the last value of its record."""
+"""An ascii line continues after the last value of its record."""
 ODD = 5
-"""The next ascii record is not what a quick walk reads; ``walk_text`` says what is wrong."""
+"""The next ascii record is not one for a fast pass; ``walk_text`` says what is wrong."""
 FULL = 6
 """There is no room for the items of the next record."""
 
@@ -41,7 +41,7 @@ def _whole_number(data, at, size, is_signed, big_endian):
     value = np.int64(0)
     for k in range(size):
         value = (value << 8) | np.int64(data[at + k if big_endian else at + size - 1 - k])
-    # Eight bytes fill the word: their sign is right already.
+    # Eight bytes fill the word: their sign is already right.
     if is_signed and size < 8 and value >> (8 * size - 1):
         value -= np.int64(1) << (8 * size)
     return value

@@ -1,6 +1,6 @@
 """Medians, quantiles of numbers and of distributions, distinct numbers and clusters of them.
 
-They are found without the masked arrays that numpy's own functions import.
+These avoid masked arrays, whose import numpy's own functions need.
 """
 
 import math
@@ -17,7 +17,7 @@ PER_MEDIAN = 1.4826
 
 
 def median(values: Floats) -> float:
-    """The median of one number at least, none of them NaN; the mean of the middle two."""
+    """The median of at least one number, none of them NaN; the mean of the middle two."""
     middle = len(values) // 2
     parts = np.partition(values, middle)
     # Partitioning by two ranks takes six times as long.
@@ -26,13 +26,14 @@ def median(values: Floats) -> float:
 
 
 def find_distinct(values: NDArray[Any]) -> NDArray[Any]:
-    """The whole numbers from 0 on in ``values`` (n,), each once, in ascending order."""
+    """The distinct non-negative integers in ``values`` (n,), ascending."""
     ordered = np.sort(values)
     return ordered[np.diff(ordered, prepend=-1) > 0]
 
 
 def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
-    """Values (s,) below which ``shares`` of some hundred lie, as ``numpy.quantile`` gives them."""
+    """The quantiles ``shares`` (s,) of values (n,), interpolated like those of
+    ``numpy.quantile``."""
     ordered = np.sort(values)
     places = np.asarray(shares) * (len(ordered) - 1)
     low = places.astype(np.int64)
@@ -42,7 +43,7 @@ def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
 
 
 def quantile_above_zero(values: Floats, share: float) -> float:
-    """The least value which at least ``share`` of those above zero do not exceed; 0.0 if none is.
+    """The quantile ``share`` of values above zero, without interpolation; 0.0 if there are none.
 
     ``values`` (n,) are not below zero and not NaN; 0 < ``share`` <= 1, where 1 gives the largest.
     """
@@ -54,12 +55,11 @@ def quantile_above_zero(values: Floats, share: float) -> float:
 
 
 MAX_ROUNDS = 100
-"""Rounds after which the clusters are taken as they are; a dozen is usual."""
+"""Largest number of iterations; a dozen is usual."""
 
 
 def clusters(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Number of its cluster for each of ``values`` (n,), n >= 1: 0 has the least, ``count`` - 1
-    the greatest.
+    """The cluster number of each of ``values`` (n,), n >= 1: 0 for the smallest values.
 
     Lloyd's iteration from evenly spaced quantiles.  Values are sorted first, so that the result
     does not depend on their order; equal values share a cluster, and a cluster may be empty.
@@ -81,8 +81,8 @@ def clusters(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 
 
 def student(freedoms: Floats) -> Floats:
-    """The ratio that Student's distribution exceeds, up or down, in one of 100 cases, for five
-    degrees of freedom at least.  Right within 1 %."""
+    """The 99.5 % quantile of Student's distribution for at least five degrees of freedom, within 1
+    %; in absolute value it is exceeded in one of 100 cases."""
     # Abramowitz and Stegun 26.7.5, with the normal quantile of 0.995.
     z = 2.5758293
     first = (z**3 + z) / 4.0

@@ -1,11 +1,11 @@
-"""What smoothing has taken from a surface, and which part of it is more than noise.
+"""The part of what smoothing removed from a surface that exceeds the noise.
 
-The residual t of a filter, how far it moved each vertex along its normal, is the noise that it
-removed, turned round, and the shape that it lost.  Noise is as strong everywhere and at every
-scale as white noise is; lost shape is strong in places, and smooth.  So the residual is cut into
-bands, from fine to coarse, and of each band every vertex gets back a share by how far its power
-around there is beyond what noise alone would give: a Wiener filter, with the powers of the place.
-The powers of the lost shape are those of a first guess, which is made in the same way.
+The residual t of a filter, the displacement of each vertex along its normal, is the negative of the
+removed noise, plus lost shape.  White noise has the same power everywhere, and known shares of it
+in bands of scale; lost shape is smooth and local.  So the residual is split into bands from fine to
+coarse, and of each band each vertex gets a share back by how far the local power exceeds that of
+noise: a Wiener filter with local powers.  The power of lost shape is that of a first guess, made
+likewise.
 """
 
 import itertools
@@ -23,18 +23,18 @@ NOISE_SHARES = (
     0.0016309322732910,
     0.0381402584408378,
 )
-"""Variance of unit white noise in each band, the last with all that is coarser.
+"""Variance of unit white noise in each band; the last one has all coarser scales.
 
-On the lattice of valence 6: with s the weights, 1/7 each, of the mean over a vertex and its ring,
+On the lattice of valence 6, with s the weights, 1/7 each, of the mean over a vertex and its ring,
 it is the sum of squares of s^b - s^(b + 1), as convolutions; of s^4 for the last band.
 """
 
 PLACE, SECOND_PLACE = 6, 3
-"""Passes by which a power is averaged around a vertex, for the first look and for the second."""
+"""Passes that average powers over one-rings, for the first guess and for the second."""
 
 CAUTION, SECOND_CAUTION = 1.4, 0.4
-"""Multiples of the noise's power from which gains are computed; chosen on noisy meshes whose true
-shape is known.  The first look has to separate shape from the scatter of averaged noise."""
+"""Factors of the power of noise in the gains, chosen on noisy meshes with known true shape.  The
+first guess has to separate shape from the scatter of averaged noise."""
 
 
 @compiled
@@ -108,7 +108,7 @@ def _second_look(start, stop, residual, bands, powers, noise, returned, share):
             power += value * value
             given += gain * value * value
             total += gain * value
-        # What did not move has nothing to get back, though its neighbours may have.
+        # A vertex that did not move has nothing to restore, though its neighbours may have.
         returned[i] = total if residual[i] != 0.0 else 0.0
         share[i] = given / power if power > 0.0 else 0.0
 
@@ -116,15 +116,15 @@ def _second_look(start, stop, residual, bands, powers, noise, returned, share):
 def restoration(
     residual: Floats, ring_start: Ints, ring: Ints, noise: float, caution: float = 1.0
 ) -> tuple[Floats, Floats]:
-    """The part of ``residual`` (n,) that is more than noise.
+    """The part of ``residual`` (n,) that exceeds the noise.
 
     With S the mean over a vertex and its one-ring, bands are S^b t - S^(b + 1) t, and S^4 t.  With
-    P = S^6 of a band's squares, c its ``NOISE_SHARES`` and s the noise, the first look takes
+    P = S^6 of a band's squares, c its ``NOISE_SHARES`` and s the noise, the first guess is
 
         max(0, 1 - 1.4 caution c s^2 / P) of the band,
 
-    and the sum r over the bands is near the shape that was lost.  The second look knows its power:
-    with Q = S^3 of the squares of that band of r, it takes
+    whose sum r over the bands is close to the lost shape and has its power.  With Q = S^3 of the
+    squares of that band of r, the result is
 
         Q / (Q + 0.4 caution c s^2) of the band of t.
 
@@ -136,8 +136,8 @@ def restoration(
 
     Returns
     -------
-    returned : (n,), to be taken back, the residual's unit; 0 where that is 0.
-    share : (n,) from 0 to 1, the share of the residual's power at each vertex that this is.
+    returned : (n,), to be subtracted, in the unit of the residual; 0 where the residual is 0.
+    share : (n,) from 0 to 1, its share of the residual's power at each vertex.
     """
     n, bands = len(residual), len(NOISE_SHARES)
     levels = np.empty((bands, n))
@@ -154,7 +154,7 @@ def restoration(
         return caution * noise * noise * np.array(NOISE_SHARES)
 
     def cut(levels: Floats) -> None:
-        """Make bands (5, n) of the finest of the levels, and their powers."""
+        """Compute bands (5, n) from the finest of the levels, and their powers."""
         for finer, coarser in itertools.pairwise(levels):
             over_ranges(_mean, n, ring_start, ring, finer, coarser)
         over_ranges(_to_bands, n, levels, powers)
@@ -162,7 +162,7 @@ def restoration(
     levels[0] = residual
     cut(levels)
     average(PLACE)
-    # Nothing needs the averages until the next pass: their memory holds the levels of the guess.
+    # The averages are not needed until the next pass, so the levels of the guess use their memory.
     guess = averages.reshape(bands, n)
     over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess[0])
     cut(guess)

@@ -1,8 +1,8 @@
-"""A mesh in random order, renumbered so that what is near in space is near in memory.
+"""Renumbering of meshes in random order, so that neighbours in space are near in memory.
 
-Every look at a neighbour waits for memory, or for a disk where arrays live in files, unless
-vertices and faces follow one another along the surface.  Most files have them so.  For the others
-sorting costs less than one pass of a filter.
+Each access to a neighbour waits for memory, or for a disk if arrays are in files, unless vertices
+and faces are ordered along the surface.  In most files they are.  For the others sorting costs less
+than one pass of a filter.
 """
 
 from typing import Any
@@ -15,15 +15,15 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 BLOCK_BYTES = 1 << 27
-"""Of an array that is read here and there, what is read in one pass over the places."""
+"""Size of the part of an array that is read in random order in one pass."""
 
-# Where the order is looked at: faces that follow one another, which touch a page or two for each
-# row of the surface, or nearly three each.
+# The order is tested on groups of consecutive faces: along a surface they touch a page or two for
+# each row of it, in random order nearly three pages each.
 _PLACES, _TOGETHER, _PER_PAGE = 64, 64, 4096 // 24
 
 _CELLS = 1024
 LOW_BITS = np.uint64(0xFFFFFFFF)
-"""The number of a vertex or a face in its key."""
+"""The bits of a key that are the number of a vertex or a face."""
 _HIGH = np.uint64(32)
 
 
@@ -78,28 +78,28 @@ def _renumber(start, stop, faces, ranks, first, last, renumbered):
 
 
 def is_random(faces: Ints) -> bool:
-    """Whether faces that follow one another have vertices far from one another, in most places."""
+    """Whether consecutive faces mostly have vertices far from one another in memory."""
     firsts = np.linspace(0, max(len(faces) - _TOGETHER, 0), _PLACES).astype(np.int64)
     pages = [len(np.unique(faces[at : at + _TOGETHER] // _PER_PAGE)) for at in firsts]
     return float(np.median(pages)) > _TOGETHER
 
 
 def blocks(count: int, row_bytes: int) -> list[tuple[int, int]]:
-    """First and last of the blocks in which ``count`` rows are read here and there."""
+    """Ranges of the blocks in which ``count`` rows are read in random order."""
     step = max(BLOCK_BYTES // row_bytes, 1)
     return [(first, min(first + step, count)) for first in range(0, count, step)]
 
 
 def morton_keys(vertices: Floats, low: Floats, extent: float) -> NDArray[np.uint64]:
-    """The cell (n,) of each vertex (n, 3) along a Morton curve through its box, in the upper 32
-    bits, and the number of the vertex; see ``sort_in_space``."""
+    """Keys (n,): the Morton code of the cell of each vertex (n, 3) in the upper 32 bits, and the
+    number of the vertex below; see ``sort_in_space``."""
     keys = np.empty(len(vertices), dtype=np.uint64)
     over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
     return keys
 
 
 def order_in_space(points: Floats) -> Longs:
-    """The numbers (n,) of points (n, 3) along a Morton curve through their box."""
+    """The indices (n,) of points (n, 3) along a Morton curve through their bounding box."""
     low = points.min(axis=0)
     extent = max(float((points.max(axis=0) - low).max()), np.finfo(float).tiny * _CELLS)
     keys = morton_keys(points, low, extent)
@@ -110,14 +110,14 @@ def order_in_space(points: Floats) -> Longs:
 def sort_in_space(
     vertices: Floats, faces: Ints, low: Floats, extent: float
 ) -> tuple[Floats, Ints, Ints]:
-    """Vertices (n, 3) along a Morton curve through their box, faces (m, 3) by their first vertex,
-    and the new number (n,) of each vertex.
+    """Vertices (n, 3) along a Morton curve through their bounding box, faces (m, 3) by their first
+    vertex, and the new number (n,) of each vertex.
 
-    ``low`` (3,) is a corner of the box, and ``extent`` its longest side.
+    ``low`` (3,) is the lower corner of the box, and ``extent`` its longest side.
     """
     keys = morton_keys(vertices, low, extent)
     vertices, faces, ranks = order_vertices(vertices, faces, keys)
-    # The least corner of each face, and below it the number of the face.
+    # The lowest vertex number of each face, and in the low half the number of the face.
     a, b, c = faces.T
     least = np.minimum(np.minimum(a, b), c).astype(np.uint64)
     keys = least << _HIGH | np.arange(len(faces), dtype=np.uint64)
@@ -134,7 +134,7 @@ def order_vertices(
     ``keys`` are sorted in place.
     """
     n = len(vertices)
-    # No two keys are equal: the order does not depend on how they are sorted.
+    # All keys differ, so the order is unique.
     keys.sort()
     ranks = np.empty(n, dtype=np.int32)
     for block in blocks(n, ranks.itemsize):
@@ -146,7 +146,7 @@ def order_vertices(
 
 
 def gather_rows(rows: NDArray[Any], order: NDArray[np.uint64] | Ints) -> NDArray[Any]:
-    """The rows (n, 3) that ``order`` (m,) numbers, in the low halves where it is of 64 bits."""
+    """The rows (n, 3) at the indices ``order`` (m,), which are its low halves if it is 64-bit."""
     ordered = np.empty((len(order), 3), dtype=rows.dtype)
     for block in blocks(len(rows), rows.itemsize * 3):
         over_ranges(_gather, len(order), rows, order, *block, ordered)

@@ -1,9 +1,8 @@
-"""Walks over STL: facets out of text, new numbers into text and records, the check of the result.
+"""Passes over STL: facets from text, new numbers into text and records, and their check.
 
-A facet of ascii STL is four *runs* of three numbers: its normal and its corners.  It may be without
-a normal, and a normal's words need not be numbers: their values are NaN, and nothing is ever
-written there.
-The bytes come from strangers: compiled code does not check bounds, so every walk here compares
+A facet of ascii STL is four *runs* of three numbers: its normal and its corners.  It may have no
+normal, and a normal's words need not be numbers: their values are NaN, and nothing is ever written
+there.  The bytes are untrusted and compiled code does not check bounds, so each pass here compares
 with the end of the data before it reads.
 """
 
@@ -25,11 +24,11 @@ FULL = 1
 CUT = 2
 """The text ends within a solid."""
 WRONG = 3
-"""A word is not the one that must be there."""
+"""A word is not the expected one."""
 BAD_NUMBER = 4
-"""A word that must be a number is none."""
+"""A word that must be a number is not."""
 OUTSIDE = 5
-"""Behind a solid there is something that is not another solid."""
+"""After a solid there is something that is not another solid."""
 
 FACET, NORMAL, OUTER, LOOP, VERTEX, ENDLOOP, ENDFACET, SOLID, ENDSOLID = range(9)
 WORDS = ("facet", "normal", "outer", "loop", "vertex", "endloop", "endfacet", "solid", "endsolid")
@@ -37,10 +36,10 @@ _LETTERS = np.array([list(word.encode().ljust(8, b"\0")) for word in WORDS], dty
 _LENGTHS = np.array([len(word) for word in WORDS])
 
 AT, FACETS, SOLIDS, INSIDE, WITHOUT_NORMAL, N_STATE = range(6)
-"""Places in the state of a walk, see ``scan``."""
+"""Indices in the state of a pass, see ``scan``."""
 
 MAX_SOLIDS = 16
-"""Solids whose names are looked at."""
+"""Number of solids whose names are read."""
 
 
 @compiled
@@ -230,7 +229,7 @@ RIGHT, WRONG_CORNER, WRONG_NORMAL, WRONG_ATTRIBUTE = range(4)
 
 _CORNERS, _ATTRIBUTE = 6, 24
 _LENGTH_ERROR = 1e-5
-"""By how much the square of a unit normal's length may differ from 1 in float32."""
+"""Largest difference of the squared length of a float32 unit normal from 1."""
 
 
 @compiled
@@ -294,14 +293,14 @@ def replace_facets(start, stop, old, new, faces, normals, corners, changed):
         x, y, z = np.float64(normals[f, 0]), np.float64(normals[f, 1]), np.float64(normals[f, 2])
         largest = max(abs(x), abs(y), abs(z))
         normal, length = doubled_area_normal(new, a, b, c)
-        # A sum, because NaN disappears in a maximum.
+        # A sum, because a maximum may drop NaN.
         is_stored = largest > 0.0 and abs(x) + abs(y) + abs(z) < np.inf
         if not (is_stored and length < np.inf) or vec.is_zero(normal):
             continue
         before, _ = doubled_area_normal(old, a, b, c)
-        # Scaled, so that neither tiny nor huge stored normals spoil the sign.
+        # Scaled, so that tiny and huge stored normals do not affect the sign.
         along = vec.dot(vec.divide((x, y, z), largest), before)
-        # The sum makes a plain zero of a negative one.
+        # The sum turns a negative zero into a positive one.
         vec.store(normals, f, vec.add(vec.times(-1.0 if along < 0.0 else 1.0, normal), vec.ORIGIN))
         if len(changed):
             changed[f] = True

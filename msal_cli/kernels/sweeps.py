@@ -1,7 +1,7 @@
 """The sweeps of equation (2), x_i <- x_i + tau dx_i + lambda_i (v_i - x_i), and their schedules.
 
-A schedule gives the time step tau and the fidelity to the data lambda at each sweep.  Every sweep
-computes all of its terms from the positions that the sweep before left (Jacobi).
+A schedule gives the time step tau and the fidelity to the data lambda at each sweep.  Each sweep
+computes all of its terms from the positions after the previous sweep (Jacobi).
 """
 
 from collections.abc import Callable
@@ -34,14 +34,13 @@ class Schedule:
     """tau = tau_0 K^j and lambda of sweep j = 0, 1, ...
 
     The default is tau = 1 and no fidelity, lambda = 0 (section 2); a ``fidelity`` above zero is a
-    lambda that is the same at every sweep and vertex (section 3).  With ``decay`` K below 1 (eq. 6)
-    later sweeps smooth less, the sooner the smaller K is.
+    constant lambda (section 3).  With ``decay`` K below 1 (eq. 6) later sweeps smooth less, the
+    sooner the smaller K is.
 
-    With a ``quantile`` of 1 lambda = sigma / max sigma (eq. 7), anew at every sweep.  max sigma may
-    belong to a single spike, beside which every other lambda is next to nothing.  With a quantile
-    q below 1 it is not needed: lambda = min(1, sigma / q-quantile of sigma), the least sigma that
-    at least this share of those above zero do not exceed, so that planes and vertices without faces
-    do not count.  The smaller q is, the stronger the pull; where all sigma are zero there is none.
+    With a ``quantile`` of 1 lambda = sigma / max sigma (eq. 7), updated at each sweep.  A single
+    spike may determine max sigma, and all other lambda are then nearly 0.  With a quantile q below
+    1 lambda = min(1, sigma / q-quantile of the sigma above zero); planes and vertices without faces
+    do not count.  The smaller q is, the stronger the pull; if all sigma are zero there is none.
 
     ``outward_step`` < 0 is tau at odd sweeps (Taubin).
     """
@@ -62,11 +61,11 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Wiener(Schedule):
-    """One pull at the end, by how far the local power of what the sweeps took exceeds that of
-    noise: see ``kernels.restoration``.
+    """A single pull at the end, by how far the local power of the residual exceeds that of noise:
+    see ``kernels.restoration``.
 
-    ``noise`` is its standard deviation in mean edge lengths, None if it is to be estimated;
-    ``caution`` scales the assumed power of the noise.
+    ``noise`` is its standard deviation in mean edge lengths, None to estimate it; ``caution``
+    scales the assumed power of the noise: greater restores less.
     """
 
     noise: float | None = None
@@ -74,7 +73,7 @@ class Wiener(Schedule):
 
 
 OnSweep = Callable[[int, int], None]
-"""Called as ``on_sweep(done, iterations)`` after every sweep."""
+"""Called as ``on_sweep(done, iterations)`` after each sweep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +116,12 @@ def run_sweeps(
 ) -> SweepResult:
     """``iterations`` sweeps of eq. (2) from ``vertices`` (n, 3), which are not changed.
 
-    Under an operator that moves along fixed normals n the fidelity pulls back along n too, so each
-    vertex stays on the line v + t n: only t is carried from sweep to sweep, and rounding cannot
-    add up to a tangential drift.
+    If the operator moves along fixed normals n the fidelity pulls back along n too, so each vertex
+    stays on the line v + t n: only t is updated, and rounding causes no tangential drift.
 
     Parameters
     ----------
-    on_sweep : called after every sweep; what it raises ends the run.
+    on_sweep : called after each sweep; an exception that it raises ends the run.
     scale : gives sigma (n,) of eq. (4) at positions (n, 3), for a schedule that uses it over an
         operator that does not compute it.
     trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
@@ -133,7 +131,7 @@ def run_sweeps(
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
-    # Never written to: memory of zeros costs nothing until then.
+    # Never written to, so it takes no memory.
     unused = np.zeros(n)
     fidelity = unused
     for sweep in range(iterations):
@@ -146,7 +144,7 @@ def run_sweeps(
         pace = _pace(schedule, sweep, sigma, largest)
         pulled = unused if sigma is None else sigma
         if trust is not None:
-            # The kernels need not know of it.
+            # Included here, so that the kernels need no trust.
             pulled = trust * _pulls(pace, pulled)
             pace = Pace(pace.time_step, per_sigma=1.0)
         if sweep == 0:
@@ -156,7 +154,7 @@ def run_sweeps(
         else:
             known = vertices, operator.normals, move, pulled, *pace
             over_ranges(_move_along_normals, n, *known, offsets, x)
-        # Their memory is free for the next ones.
+        # The next step reuses their memory.
         del step, move, sigma, pulled
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
@@ -164,7 +162,7 @@ def run_sweeps(
 
 
 def _pace(schedule: Schedule, sweep: int, sigma: Floats | None, largest: float | None) -> Pace:
-    """The pace of a sweep; ``largest`` is max sigma, where it is known."""
+    """The pace of a sweep; ``largest`` is max sigma, if known."""
     share = schedule.quantile
     if sigma is None or share is None:
         return schedule(sweep, None)
@@ -186,7 +184,7 @@ def _sweep_in_one_pass(
     iterations: int,
     on_sweep: OnSweep | None,
 ) -> SweepResult:
-    """The same without sigma: each sweep goes from one array of positions to another."""
+    """As ``run_sweeps`` without sigma: each sweep reads one array and writes another."""
     n = len(vertices)
     offsets, fidelity = np.zeros(n), np.zeros(n)
     x, moved = vertices, np.empty_like(vertices)

@@ -1,8 +1,8 @@
-"""Decimal text to numbers and back, exactly, for the text forms of mesh files.
+"""Exact conversion between decimal text and numbers, for the text forms of mesh files.
 
 A *token* is a run of bytes ``buf[start:stop]``; lists of tokens are two (k,) int64 arrays,
-ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes one that every kernel
-here takes without being compiled a second time.  Every value is exact: see ``numbers``.
+ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes one that has the type
+for all kernels here.  All values are exact: see ``numbers``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -87,10 +87,10 @@ def _read_numbers(buf, starts, stops, values, undecided):
 
 
 def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
-    """The values (k,) of k tokens, correctly rounded, and the first that is no number, or -1.
+    """The values (k,) of k tokens, correctly rounded, and the first that is not a number, or -1.
 
     Numbers have a sign, digits, point, exponent (e or E), or are ``nan`` or ``inf`` in any case.
-    Behind a token that is none the values are undefined.
+    After a token that is not a number the values are undefined.
     """
     values = np.empty(len(starts))
     undecided = np.zeros(len(starts), dtype=np.bool_)
@@ -147,7 +147,7 @@ def _print_numbers(values, first, decimals, out, at, stops):
 
 
 def fixed_width(largest: float, decimals: int) -> int:
-    """Most bytes that ``print_numbers`` takes for any number up to ``largest``."""
+    """Largest number of bytes that ``print_numbers`` needs for a number up to ``largest``."""
     if decimals > MAX_DECIMALS:
         return MAX_SHORTEST_WIDTH
     if largest < FIXED_BELOW:
@@ -156,13 +156,13 @@ def fixed_width(largest: float, decimals: int) -> int:
 
 
 def print_numbers(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
-    """Text of k numbers: fixed-point with ``decimals`` (0 to 17) digits behind the point, or the
+    """Text of k numbers: fixed-point with ``decimals`` (0 to 17) digits after the point, or the
     shortest that is read back as the same number (SHORTEST) or the same float32 (SHORTEST_SINGLE).
 
-    Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
-    Correctly rounded from the double, so the same on every machine; ``-0.000`` is printed
-    ``0.000``.  A fixed-point number of magnitude 2**63 or more, or one that is not finite, is
-    printed as Python's ``repr`` does.
+    Returns the concatenated texts, (size,) uint8, and where each ends, (k,) int64. Correctly
+    rounded from the double, so the same on every machine; ``-0.000`` is printed ``0.000``.  A
+    fixed-point number of magnitude 2**63 or more, or one that is not finite, is printed as by
+    ``repr``.
     """
     if decimals == SHORTEST_SINGLE:
         with np.errstate(over="ignore"):
@@ -255,7 +255,7 @@ def _splice(buf, starts, stops, text, text_stops, out):
 
 
 def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Longs) -> Bytes:
-    """``buf`` with k tokens replaced by k texts that lie one behind the other in ``text``."""
+    """``buf`` with k tokens replaced by k texts, concatenated in ``text``."""
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
     size = len(buf) - int((stops - starts).sum()) + (int(text_stops[-1]) if len(text_stops) else 0)
     out = np.empty(size, dtype=np.uint8)
@@ -264,7 +264,7 @@ def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Lon
 
 
 _BLOCK = 1 << 14
-"""Rows that are made at a time."""
+"""Rows that are formatted at once."""
 
 
 @compiled
@@ -333,17 +333,16 @@ def fill_rows(
 
 # Numbers replaced inside a text
 #
-# A *run* is some numbers one behind the other with blanks between them, such as the position or the
-# normal of a vertex.
+# A *run* is some consecutive numbers separated by blanks, such as the position of a vertex.
 
 DONE = 0
-"""All runs are dealt with."""
+"""All runs are processed."""
 DIFFERENT = 1
-"""A byte differs that must be the same."""
+"""A byte differs that must be equal."""
 WRONG_VALUE = 2
 """A number is not the expected one."""
 ASIDE = 3
-"""Python has to write or read one number; then the walk goes on behind it."""
+"""Python has to write or read one number; the pass continues after it."""
 
 
 @compiled
@@ -364,7 +363,7 @@ def _skip_number(buf, at):
     while at < len(buf):
         word = load_eight(buf, at)
         slashes = word ^ np.uint64(0x5C5C5C5C5C5C5C5C)
-        # No byte below 43, the plus, is a part of a number.
+        # Bytes below 43, the plus sign, are not part of a number.
         found = (word - np.uint64(0x2B2B2B2B2B2B2B2B)) & ~word
         found |= (slashes - np.uint64(0x0101010101010101)) & ~slashes
         found &= np.uint64(0x8080808080808080)

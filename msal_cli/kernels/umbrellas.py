@@ -1,15 +1,14 @@
-"""Filters by the umbrella operator: means of x_k - x_i over rows of neighbours, from edges alone.
+"""Filters by the umbrella operator: means of x_k - x_i over rows of neighbours.
 
-All take the rows to average over as they come; ``averaging_ring`` makes them for a rule at open
-edges.  A vertex with an empty row does not move.
+``averaging_ring`` makes the rows for a rule at boundary vertices.  Vertices with empty rows stay.
 
-With the umbrella U a wave of frequency k, U x = -k x with 0 <= k <= 2, is multiplied by the
-windowed sinc with
+The umbrella U acts on a wave of frequency k, 0 <= k <= 2, as U x = -k x.  The windowed sinc
+multiplies it by
 
     f(k) = c_0 + sum over j of c_j cos(j theta),   cos(theta) = 1 - k / 2
 
-where cos(j theta) is the Chebyshev polynomial T_j(1 - k / 2), so that one umbrella step more gives
-the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
+where cos(j theta) is the Chebyshev polynomial T_j(1 - k / 2), so one more umbrella gives the next
+term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 """
 
 from collections.abc import Callable, Sequence
@@ -92,8 +91,9 @@ def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves
 class ScaleDependentUmbrella:
     """min(tau, limit_i) times 2/E sum(e/l), E = sum(l), over edges e of length l (Fujiwara).
 
-    limit_i = E / (2 sum(1/l)) is the time step at which the vertex reaches the mean of its
-    neighbours with weights 1/l; beyond it the explicit iteration would overshoot."""
+    limit_i = E / (2 sum(1/l)) is the time step with which the vertex moves to the mean of its
+    neighbours with weights 1/l; larger explicit steps would overshoot.
+    """
 
     ring_start: Ints  # ring_start, ring: rows to average over, (n + 1,) and (...,)
     ring: Ints
@@ -115,7 +115,7 @@ def _average_and_correct(start, stop, o, q, ring_start, ring, alpha, p, b):
     for i in range(start, stop):
         step, own = _mean_offset(q, ring_start, ring, i), vec.load(q, i)
         vec.store(p, i, vec.add(own, step))
-        # p - (alpha o + (1 - alpha) q), so written that it is zero where nothing moves.
+        # p - (alpha o + (1 - alpha) q), in a form that is exactly zero if nothing moves.
         vec.store(b, i, vec.add_scaled(step, -alpha, vec.subtract(vec.load(o, i), own)))
 
 
@@ -134,10 +134,9 @@ def hc_sweep(
 ) -> Floats:
     """Positions (n, 3) after one sweep from ``positions`` (n, 3); a new array.
 
-    Every vertex goes to the mean p of its row; b is how far p lies from alpha parts of its
-    ``original`` (n, 3) and 1 - alpha parts of its previous position; then p is moved back by beta
-    parts of its own b and 1 - beta parts of the mean b of its row.  A vertex with an empty row
-    stays.
+    Each vertex moves to the mean p of its row; b is the difference of p and alpha times its
+    ``original`` (n, 3) plus 1 - alpha times its previous position; then beta times its b and 1 -
+    beta times the mean b of its row are subtracted.  A vertex with an empty row does not move.
     """
     n = len(positions)
     averaged, corrections = np.empty((n, 3)), np.empty((n, 3))
@@ -152,7 +151,7 @@ NUTTALL = (0.355768, 0.487396, 0.144232, 0.012604)
 """Cosine terms of the Nuttall window, whose side lobes are below 1e-4."""
 
 KEPT = 0.99904
-"""What is left of a wave at the end of the pass band: where the search of VTK stops, about."""
+"""The factor of a wave at the end of the pass band, about as in the search of VTK."""
 
 
 @compiled
@@ -178,11 +177,10 @@ def smooth_by_windowed_sinc(
     coefficients: Sequence[Floats],
     on_pass: Callable[[int, int], None] | None = None,
 ) -> list[Floats]:
-    """The vertices (n, 3) as each filter leaves them, ring rows (n + 1,), (...,) averaged over.
+    """The vertices (n, 3) after each filter, with rows (n + 1,), (...,) to average over.
 
-    The ``coefficients`` (passes + 1,) of a filter are those of its terms; the sum of all is taken
-    for 1, so that what is constant stays, and so does a vertex whose row is empty.  Filters share
-    the polynomials.
+    The ``coefficients`` (passes + 1,) of a filter, with sum 1, are those of its terms.  Constants
+    and vertices with an empty row do not change.  Filters share the polynomials.
     """
     count = max(len(terms) for terms in coefficients) - 1
     weights = np.zeros((count + 1, len(coefficients)))
@@ -212,13 +210,13 @@ def smooth_by_windowed_sinc(
 def sinc_coefficients(pass_band: float, passes: int) -> Floats:
     """c_0 ... c_passes (passes + 1,) of the filter that keeps waves up to ``pass_band``.
 
-    The window blurs the end of the pass band, so the sinc's own is moved out until a wave at
-    ``pass_band`` keeps the part ``KEPT``, or as far as there is room.
+    The window blurs the end of the pass band, so the end of the sinc's band is increased until a
+    wave at ``pass_band`` keeps the factor ``KEPT``, as far as possible.
     """
     theta = np.arccos(1.0 - 0.5 * pass_band)
     order = np.arange(passes + 1)
     low, high = 0.0, np.pi - theta
-    # Each step halves the range: to the last bit after 60.
+    # Bisection, to the last bit after 60 steps.
     for _ in range(60):
         middle = 0.5 * (low + high)
         kept = float((_terms(theta + middle, passes) * np.cos(order * theta)).sum())
@@ -230,7 +228,7 @@ def sinc_coefficients(pass_band: float, passes: int) -> Floats:
 
 
 def _terms(theta: float, passes: int) -> Floats:
-    """Coefficients of sum 1 of a sinc whose band ends at ``theta``, under the window."""
+    """Windowed coefficients with sum 1 of a sinc whose band ends at ``theta``."""
     order = np.arange(1, passes + 1)
     angles = np.pi * order / (passes + 1.0)
     window = sum(term * np.cos(k * angles) for k, term in enumerate(NUTTALL))

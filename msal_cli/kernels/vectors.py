@@ -1,6 +1,6 @@
-"""Vectors, triangles, rows, exponentials and arctangents, for kernels to call.
+"""Vectors, triangles, rows, exponentials and arctangents, called by kernels.
 
-Kernels call those of vectors by the module, as in ``vec.dot``: these are inlined before all else.
+Kernels call functions of vectors through the module, as in ``vec.dot``; these are inlined first.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def sort_few(values, count):
 
 
 ORIGIN = (0.0, 0.0, 0.0)
-"""The zero vector; a vector is a tuple of three numbers, which the compiler keeps in registers."""
+"""The zero vector; vectors are tuples of three numbers, which the compiler keeps in registers."""
 
 
 @compiled
@@ -184,12 +184,11 @@ def longest_square(u, w):
     return max(dot(u, u), dot(w, w), dot(v, v))
 
 
-# Exponentials and arctangents of many numbers, by arithmetic that compilers turn into vectors.
-#
-# The library's functions are called once per number; written as loops over a block that stays in
-# the first-level cache they take a third of the time, and give the same bits on every machine.
+# Exponentials and arctangents of many numbers, by arithmetic that becomes vector code.  Functions
+# of the standard library are called once per number; loops over a block that stays in the
+# first-level cache take a third of the time, and give the same bits on all machines.
 
-# Added to a number it leaves the nearest integer in the lowest bits of the sum.
+# Adding it leaves the nearest integer in the lowest bits of the sum.
 _ROUND = 6755399441055744.0  # 1.5 * 2^52
 
 # Coefficients of r ... r^11 in 2^r - 1: the polynomial through zero and the function's values at
@@ -201,7 +200,7 @@ _P10, _P11 = 7.072585949269223e-09, 4.4549605981865186e-10
 
 LOG2_E = 1.4426950408889634
 MIN_POWER = -1010.0
-"""Exponents below are taken as this: 2^-1010 is 1e-304."""
+"""Smaller exponents count as this: 2^-1010 is 1e-304."""
 
 _TO_EXPONENT = np.int64(52)
 
@@ -216,7 +215,7 @@ def power_of_two(exponent):
     t = exponent if exponent > MIN_POWER else MIN_POWER
     rounded = t + _ROUND
     r = t - (rounded - _ROUND)
-    # Four short sums beside each other: one long chain would have every step wait for the last.
+    # Independent short sums: in one long chain each step would wait for the previous one.
     q = r * r
     q2 = q * q
     p = (r * _P11 + _P10) * q + (r * _P9 + _P8)
@@ -242,11 +241,11 @@ def arctangents(numerators, denominators, count):
     for at in range(count):
         y = numerators[at]
         x = denominators[at]
-        # The angle from the nearer axis, as a tangent of at most 1.
+        # The angle from the nearer axis, by a tangent of at most 1.
         low = min(y, x)
         high = max(y, x)
         t = low / (high if high > 0.0 else 1.0)
-        # Halved twice, so that the series ends soon: tan(a / 2) = t / (1 + sqrt(1 + t t)).
+        # Halved twice, so that the series is short: tan(a / 2) = t / (1 + sqrt(1 + t t)).
         t = t / (1.0 + np.sqrt(1.0 + t * t))
         t = t / (1.0 + np.sqrt(1.0 + t * t))
         s = -t * t

@@ -1,18 +1,18 @@
-"""Vertices moved to fit given face normals: the second stage of every filter of normals.
+"""Vertices fitted to given face normals: the second stage of all filters of normals.
 
 Sun, Rosin, Martin and Langbein 2007: with the normals n' that the faces should have, each pass
-moves every vertex by the mean of its ways to the planes through the centroids of its faces,
+moves each vertex by the mean of its offsets to the planes through the centroids of its faces,
 
     x_i <- x_i + mean over f (n'_f . (c_f - x_i)) n'_f,
 
-a step of gradient descent on the sum of squares of n'_f . (edges of f), which is zero where every
-face has its normal.  All vertices move at once, and the centroids c follow at every pass.
+a step of gradient descent on the sum of squares of n'_f . (edges of f), which is zero if all faces
+have their normals.  All vertices move at once, and the centroids c are updated in each pass.
 
-Noise within the surface leaves thin and folded triangles: a fit of the vertices to given normals
-moves along these, and hardly changes the normal of a thin triangle.  So every vertex with a
-*strained* face, one that is turned from its normal by more than 20 degrees, goes towards the mean
-of its neighbours, at right angles to the mean of the wanted normals around it, and is fitted anew.
-What fits stays where it is, with all its thin triangles.
+Tangential noise leaves thin and folded triangles: a fit moves vertices along the given normals,
+which hardly changes the normal of a thin triangle.  So each vertex with a *strained* face, whose
+normal is more than 20 degrees from the wanted one, moves towards the mean of its neighbours,
+orthogonally to the mean of the wanted normals around it, and is fitted again.  Other vertices do
+not move, even beside thin triangles.
 """
 
 from collections.abc import Callable
@@ -49,7 +49,7 @@ def _offsets(start, stop, x, faces, n, offsets):
     for f in range(np.uint64(start), np.uint64(stop)):
         a, b, c = vec.load(faces, f)
         origin = vec.load(x, a)
-        # In this way the centroid of equal coordinates is just these.
+        # In this form the centroid of equal coordinates is exact.
         ways = vec.add(vec.subtract(vec.load(x, b), origin), vec.subtract(vec.load(x, c), origin))
         offsets[f] = vec.dot(vec.load(n, f), vec.add_scaled(origin, THIRD, ways))
 
@@ -81,10 +81,10 @@ def update_vertices(
     ----------
     normals : (m, 3), the unit normals that the faces should have; faces whose normal is zero are
         left out.
-    faces, links : (m, 3) and its neighbourhoods.
-    free : (n,) bool, False for vertices that must stay.  One whose faces are all left out, or that
-        has none, stays as well.
-    on_pass : called after every pass; what it raises ends the run.
+    faces, links : (m, 3) and their connectivity.
+    free : (n,) bool, False for vertices that must stay.  A vertex whose faces are all left out, or
+        that has none, stays as well.
+    on_pass : called after each pass; an exception that it raises ends the run.
     """
     n, m = len(vertices), len(faces)
     offsets, share = np.empty(m), np.empty(n)
@@ -101,13 +101,13 @@ def update_vertices(
 
 
 ROUNDS = 3
-"""Rounds of evening out and fitting."""
+"""Rounds of relaxing and fitting."""
 
 PASSES = 8
 """Passes that fit the vertices in each round."""
 
 STEP = 0.7
-"""Part of the way to the mean of the neighbours, for faces that are fully strained."""
+"""Share of the way to the mean of the neighbours, for vertices of fully strained faces."""
 
 STRAINED, FULLY_STRAINED = 0.93969262078590838, 0.64278760968653933
 """Cosines of 20 and 50 degrees, between which the strain grows from 0 to 1."""
@@ -158,13 +158,13 @@ def _even_out(
 def untangle(
     vertices: Floats, wanted: Floats, faces: Ints, links: Connectivity, free: Flags
 ) -> Floats:
-    """Positions (n, 3) whose faces are less strained; the same where none is.
+    """Positions (n, 3) with less strained faces; ``vertices`` if no face is strained.
 
     Parameters
     ----------
     vertices : (n, 3), fitted to the normals; not changed.
-    wanted : (m, 3) unit normals that the faces should have; zero where there is none.
-    faces, links : (m, 3) and its neighbourhoods.
+    wanted : (m, 3) unit normals that the faces should have; zero for none.
+    faces, links : (m, 3) and their connectivity.
     free : (n,) bool, False for vertices that must stay.  Boundary vertices are fitted only.
     """
     n, m = len(vertices), len(faces)

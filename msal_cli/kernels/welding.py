@@ -1,4 +1,4 @@
-"""Vertices and faces that are equal, and the way from the mesh back to the vertices of its file."""
+"""Equal vertices and faces, and the map from the mesh back to the vertices of its file."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def _alike_perhaps(bits, used, seen, again, candidates):
                 again[word] |= bit
                 repeats = True
             seen[word] |= bit
-    # Of no use, but what is read for nothing would not be read; the last place is to spare.
+    # Keeps the compiler from removing these reads; the last item is unused.
     candidates[len(used)] = np.int64(touched & one)
     count = 0
     if not repeats:
@@ -101,16 +101,15 @@ def _weld(rows, bits, candidates, highs, table, first):
 
 
 def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
-    """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and how many rows
-    equal one before them.
+    """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and the number of
+    rows that equal an earlier one.
 
-    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and map
-    to themselves.
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) map to themselves.
     """
     n = len(rows)
     rows = np.ascontiguousarray(rows)
     bits = rows.view(np.uint64)
-    # Sixteen bits a row: among different rows one in sixteen has another's hash.
+    # Sixteen bits a row: one in sixteen different rows has the hash of another.
     words = 1 << max(0, (n // 4).bit_length())
     seen, again = np.zeros(words, dtype=np.uint64), np.zeros(words, dtype=np.uint64)
     first = np.arange(n, dtype=np.int32)
@@ -118,7 +117,7 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
     count = _alike_perhaps(bits, used, seen, again, candidates)
     if not count:
         return first, 0
-    # Twice the rows at least, so that probing stays short.
+    # At least twice the rows, so that probing stays short.
     table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
     highs = np.empty(count, dtype=np.uint32)
     return first, int(_weld(rows, bits, candidates[:count], highs, table, first))
@@ -131,14 +130,14 @@ def _mark(items, marks):
 
 
 def used_vertices(n_vertices: int, faces: Ints) -> Flags:
-    """(n,) bool, True for every vertex that a face (m, 3) names."""
+    """(n,) bool, True for each vertex that a face (m, 3) names."""
     used = np.zeros(n_vertices, dtype=bool)
     _mark(np.ascontiguousarray(faces).reshape(-1), used)
     return used
 
 
 def repeated_corners(faces: Ints) -> Flags:
-    """(m,) bool, True for every face (m, 3) that names a vertex twice."""
+    """(m,) bool, True for each face (m, 3) that names a vertex twice."""
     a, b, c = faces.T
     repeated: Flags = (a == b) | (b == c) | (c == a)
     return repeated
@@ -147,7 +146,7 @@ def repeated_corners(faces: Ints) -> Flags:
 def weld(vertices: Floats, faces: Ints) -> Ints:
     """For each vertex the lowest-numbered vertex at exactly its position, (n,) int32.
 
-    Minus zero equals zero.  Vertices that no face uses weld with nothing and map to themselves.
+    Minus zero equals zero.  Vertices that no face uses are not welded and map to themselves.
     """
     return first_alike(vertices, used_vertices(len(vertices), faces))[0]
 
@@ -175,10 +174,10 @@ def _number(left, right, table, number, first):
 
 
 def number_groups(left: Ints, right: Ints) -> tuple[Ints, Ints]:
-    """Give each different pair (left, right) a number, in order of appearance.
+    """Number the different pairs (left, right) in order of appearance.
 
-    Both arguments are (n,) int32.  Returns the number of every pair, (n,), and the first place of
-    every number, (k,).
+    Both arguments are (n,) int32.  Returns the number of each pair (n,), and the first index of
+    each (k,).
     """
     table = np.full(1 << max(4, (2 * len(left)).bit_length()), -1, dtype=np.int32)
     number = np.empty(len(left), dtype=np.int32)
@@ -223,9 +222,9 @@ def scatter(
 ) -> Floats:
     """File positions (n_file, 3) for mesh positions ``after`` (n, 3), which were ``before``.
 
-    ``place`` (n_file,) names the mesh vertex of each file vertex, -1 for none; None where they are
-    the same.  A vertex that did not move or that ``is_used`` (n,) leaves out keeps its
-    ``original``'s very value; ``origin`` (3,) is added to the others.
+    ``place`` (n_file,) is the mesh vertex of each file vertex, -1 for none; None for the identity.
+    A vertex that did not move or that ``is_used`` (n,) excludes keeps exactly its value in
+    ``original``; ``origin`` (3,) is added to the others.
     """
     result = np.empty_like(original)
     place = np.empty(0, dtype=np.int32) if place is None else place
@@ -250,19 +249,17 @@ def _widest_gap(positions, place, first):
 
 
 def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
-    """Largest distance of ``positions`` (n, 3) from the first one at the same place."""
+    """Largest distance of ``positions`` (n, 3) from the first one with the same ``place`` (n,)."""
     first = np.full(n_places, -1, dtype=np.int32)
     return float(_widest_gap(positions, place, first))
 
 
-# Triangle soup: facets with corners of their own, as an indexed mesh.
-#
-# Nearly all the time goes into waiting for the hash table of vertex numbers, whose places for new
-# vertices are anywhere in memory: so the places of a block of corners are computed first, which is
-# vector code, and read all at once; only then is any corner decided.
-#
-# Where arrays live in files, each wait may be one for the disk.  So the corners are read several
-# times, each time for those whose places are in one part of the table, which fits into memory.
+# Triangle soup, facets with separate corners, as an indexed mesh.  Most of the time is spent on
+# waiting for the hash table of vertex numbers, whose slots for new vertices are random in memory.
+# So the slots of a block of corners are computed first, as vector code, and read all at once; only
+# then are the corners processed.  If arrays are in files, each wait may be one for the disk.  So
+# the corners are read several times, each time for slots in one part of the table, which fits into
+# memory.
 
 _BLOCK_FACETS = 256
 
@@ -311,7 +308,7 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
             for k in range(3):
                 x, y, z = _corner(corners, f, k)
                 slots[3 * (f - block) + k] = _slot(x, y, z, shift)
-        # Without a condition where there is one part, so that many places are read at once.
+        # Without a condition if there is one part, so that many slots are read at once.
         if is_whole:
             for at in range(3 * (stop - block)):
                 touched |= table[slots[at]]
@@ -341,7 +338,7 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
                     table[slot] = found
                     vec.store(vertices, number, (x, y, z))
                 faces[f, k] = number
-    # Never true, but what is read for nothing would not be read.
+    # Never true; keeps the compiler from removing these reads.
     if touched < 0:
         found = -1
     return len(faces), found, False
@@ -364,13 +361,13 @@ def _enter(vertices, shift, part, part_shift, table):
 def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
     """The facets ``corners`` (m, 9), of any strides, as an indexed mesh.
 
-    Minus zero equals zero, and becomes it.  3 m must be below 2^31.
+    Minus zero becomes zero.  3 m must be below 2^31.
 
     Returns
     -------
     vertices : (n, 3) float64, the different positions in order of appearance.
     faces : (m, 3) int32.
-    bad : the first facet with a position that is not finite, where the others end; else -1.
+    bad : the first facet with a non-finite position, where the result ends; else -1.
     """
     m = len(corners)
     faces = np.empty((m, 3), dtype=np.int32)

@@ -1,9 +1,9 @@
-"""Triangles to samples of a picture: the nearest face in each, and its light.
+"""Rasterization: the nearest face in each sample of a picture, and its light.
 
-``points`` (n, 3) float64 are vertices as the picture sees them: across (to the right) and down, in
-samples, and nearness to the eye in the same unit.  The sample in row r and column c lies at
-(c + 0.5, r + 0.5).  ``faces`` (m, 3) int32.  A picture of (height, width) pixels has
-``side * side`` samples in every pixel.
+``points`` (n, 3) float64 are vertices in the coordinates of the picture: to the right and down, in
+samples, and nearness to the eye in the same unit.  The sample in row r and column c is at (c + 0.5,
+r + 0.5).  ``faces`` (m, 3) int32.  Each pixel of a picture (height, width) has ``side * side``
+samples.
 """
 
 import numpy as np
@@ -14,13 +14,13 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 
 NOTHING = -1
-"""Where a sample meets no face."""
+"""The face of a sample without a face."""
 
 ROUNDING = 1e-9
-"""How far outside a face a sample may be: one on the edge of two faces must be in one of them."""
+"""How far outside a face a sample may be, so that one on an edge is in one of its faces."""
 
 MIN_ROWS = 64
-"""Rows per thread: each thread looks at all faces."""
+"""Rows per thread: each thread reads all faces."""
 
 
 @compiled
@@ -30,7 +30,7 @@ def _nearest_faces(start, stop, points, faces, nearness, front):
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ay, by, cy = points[a, 1], points[b, 1], points[c, 1]
-        # From the first to the last row whose middle is in the triangle's height.
+        # From the first to the last row whose centre is in the height of the triangle.
         top = max(np.float64(start), np.ceil(min(ay, by, cy) - 0.5))
         bottom = min(np.float64(stop - 1), np.floor(max(ay, by, cy) - 0.5))
         if not top <= bottom:
@@ -45,7 +45,7 @@ def _nearest_faces(start, stop, points, faces, nearness, front):
             continue
         nearness_c = points[c, 2]
         nearer_a, nearer_b = points[a, 2] - nearness_c, points[b, 2] - nearness_c
-        # Weights of the corners a and b, linear in x; what is left is that of c.
+        # Weights of the corners a and b, linear in x; c has the rest.
         slope_a, slope_b = -(cy - by) / area, -(ay - cy) / area
         for row in range(np.int64(top), np.int64(bottom) + 1):
             y = row + 0.5
@@ -63,8 +63,8 @@ def _nearest_faces(start, stop, points, faces, nearness, front):
 
 
 def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple[Floats32, Ints]:
-    """The nearness (height, width) of the nearest face in each sample, -inf where there is none,
-    and the face's number, ``NOTHING`` where there is none."""
+    """The nearness (height, width) of the nearest face in each sample, -inf for none, and the
+    face's number, ``NOTHING`` for none."""
     nearness = np.full((height, width), -np.inf, dtype=np.float32)
     front = np.full((height, width), NOTHING, dtype=np.int32)
     over_ranges(_nearest_faces, height, points, faces, nearness, front, smallest=MIN_ROWS)
@@ -94,12 +94,12 @@ def _corner_normals(
 
 
 def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
-    """Normals (m, 3, 3) at the three corners of each face, smooth but for creases.
+    """Normals (m, 3, 3) at the three corners of each face, smooth except for creases.
 
-    A corner's normal is the mean of the normals of the faces at its vertex, by area.  Those that
-    turn from this face by more than ``crease`` (radians, up to pi) do not count, those that turn by
-    less than half of it count in full, and those between in part: a bound alone would show the
-    triangles along every rounded edge.  0 gives flat faces.
+    A corner's normal is the area-weighted mean of the normals of the faces at its vertex.  Those
+    that turn from this face by more than ``crease`` (radians, up to pi) do not count, those that
+    turn by less than half of it count in full, and those between in part: a sharp bound would show
+    the triangles along rounded edges.  0 gives flat faces.
     """
     from msal_cli.kernels.connectivity import index_rows
     from msal_cli.kernels.geometry import face_normals_and_areas
