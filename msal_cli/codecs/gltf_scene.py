@@ -116,7 +116,7 @@ _POSITION_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", **_FLOAT_
 
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _COLUMNS = {"VEC3": 3, "VEC4": 4}
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_TRIANGLES, _STRIP, _FAN = _SURFACES = 4, 5, 6
 _ALWAYS_READ = 1 << 16
 """Corners that are read however small the file is; see ``Scene.parts``."""
 
@@ -288,7 +288,7 @@ class Scene:
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise errors.UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         attributes = as_dict(primitive.get("attributes"))
-        if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
+        if primitive.get("mode", _TRIANGLES) not in _SURFACES:
             self.notes["points and lines are kept as they are"] = None
             return None
         if "POSITION" not in attributes:
@@ -350,9 +350,14 @@ class Scene:
     def properties(self) -> tuple[str, ...]:
         """What is carried along."""
         names: dict[str, None] = {}
+        others: dict[str, None] = {}
         for mesh in self.content["meshes"]:
             for primitive in as_dicts(mesh.get("primitives")):
                 names.update(dict.fromkeys(as_dict(primitive.get("attributes"))))
+                if primitive.get("targets"):
+                    others["morph targets"] = None
+                if primitive.get("mode", _TRIANGLES) not in _SURFACES:
+                    others["points and lines"] = None
         words = [f"vertex.{name}" for name in names if name != "POSITION"]
         meshes = [node.get("mesh") for node in as_dicts(self.content.get("nodes"))]
         shown = Counter(mesh for mesh in meshes if isinstance(mesh, int))
@@ -362,7 +367,7 @@ class Scene:
                 0, f"instances ({errors.format_count(n_more, 'more place')} of the same surfaces)"
             )
         kinds = ("materials", "textures", "images", "animations", "skins", "cameras")
-        return (*words, *(kind for kind in kinds if self.content.get(kind)))
+        return (*words, *others, *(kind for kind in kinds if self.content.get(kind)))
 
     def references(self) -> tuple[str, ...]:
         """Images in files of their own."""
