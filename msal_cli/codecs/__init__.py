@@ -10,16 +10,16 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
 
     Parameters
     ----------
-    data : the content, not compressed (see ``expanded``).
-    name : the file's name; its suffix says the format, in any case and before ``.gz``.
-    format : the format's name, over the suffix; needed for a stream whose content does not tell.
+    data : the content, not compressed (see ``gzip_streams.expand``).
+    name : the file's name; its suffix is the format, in any case and before ``.gz``.
+    format : the format's name, over the suffix; needed for a stream if its content is not enough.
 
     Raises UnsupportedError for a format, or a feature of one, that is not read; FormatError,
-    TruncatedError, ContentError, TooLargeError for a file that is not what it should be; a content
-    of another format than the name says is a FormatError.
+    TruncatedError, ContentError, TooLargeError for invalid content, FormatError also for content of
+    another format than the name.
     """
     wanted = resolve_format(data, name, format)
-    # Codecs are imported where they are used, so that one bad format costs only its own time.
+    # Codecs are imported where they are used, so that each file imports only its own.
     if wanted == "ply":
         from msal_cli.codecs import ply
 

@@ -1,5 +1,5 @@
-"""Colours of vertices, for conversions and for pictures, and numbers as colours; the codecs
-themselves keep bytes."""
+"""Colours of vertices, for conversions and pictures, and colour maps for numbers.  The codecs
+themselves keep colours as bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Colours = NDArray[np.uint8]
 
 UNPAINTED = (204, 204, 204)
-"""The colour of what has none beside what has one."""
+"""The colour of parts without colours beside parts that have some."""
 
 _PLY_NAMES = (
     ("red", "green", "blue", "alpha"),
@@ -29,14 +29,13 @@ _PLY_NAMES = (
 _CONTINUED = re.compile(rb"\\\r?\n")
 
 _GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
-"""Number types of colours; the largest whole number stands for 1."""
+"""Number types of colours; the largest whole number of a type means 1."""
 
 
 def vertex_colours(mesh_file: MeshFile) -> Colours | None:
-    """Colours (n, 3) or (n, 4) of the vertices of a PLY, OBJ or glTF file, or None where it has
-    none.
+    """Colours (n, 3) or (n, 4) of the vertices of a PLY, OBJ or glTF file; None if it has none.
 
-    Colours as floating-point numbers are taken to go from 0 to 1.
+    Floating-point colours are assumed to be from 0 to 1.
     """
     if mesh_file.format == "ply":
         return _of_ply(mesh_file)
@@ -50,7 +49,7 @@ def vertex_colours(mesh_file: MeshFile) -> Colours | None:
 
 
 def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
-    """``colours`` times ``scale`` as whole numbers from 0 to 255; 0 for what is no number."""
+    """``colours`` times ``scale`` as whole numbers from 0 to 255; NaN becomes 0."""
     scaled = np.nan_to_num(colours * scale, posinf=255.0, neginf=0.0)
     return np.rint(np.clip(scaled, 0.0, 255.0)).astype(np.uint8)
 
@@ -90,8 +89,8 @@ def _of_obj(mesh_file: MeshFile) -> Colours | None:
 
 
 def _of_gltf(scene_file: SceneFile) -> Colours | None:
-    """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows.  There is an
-    alpha if one is not opaque."""
+    """COLOR_0 of all parts, which is linear light, converted to sRGB bytes; with alpha if any of it
+    is not opaque."""
     from msal_cli.codecs.gltf_scene import as_dict, as_dicts
 
     scene, has_colours = scene_file.scene, False
@@ -116,7 +115,7 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
             largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
             shares = np.clip(rows.rows(scene.data).astype(np.float64) / largest, 0.0, 1.0)
             value = shares[:, :3]
-            # The format says linear, but programs for scans write a screen's bytes as they are.
+            # The format says linear, but programs for scans write sRGB bytes unconverted.
             if rows.code != "<u1":
                 # IEC 61966-2-1
                 curve = 1.055 * value ** (1.0 / 2.4) - 0.055
@@ -128,20 +127,20 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
     return (colours if colours[:, 3].min() < 255 else colours[:, :3]) if has_colours else None
 
 
-# Numbers as colours: two maps that are even to the eye and safe for the colour-blind.
+# Colour maps: two maps that are perceptually uniform and safe for the colour-blind.
 #
 # The points, in sRGB, are evenly spaced between a few in OKLab (Ottosson 2020), where equal steps
-# look equally large.  Lightness never turns back within a map (within each half of the diverging
-# one), so that order can be read off without telling hues apart, and in print.
+# look equally large.  Lightness is monotonic within a map (within each half of the diverging one),
+# so that values can be ordered without telling hues apart, and in print.
 
 SHADES = 256
 """Colours in a map."""
 
 UNKNOWN = (128, 128, 128)
-"""The colour of what is not a number."""
+"""The colour of NaN."""
 
-# Maps for what has a least value and for what has a sign.  A low value is pale, so that the shading
-# of a surface stays visible where little is going on.
+# Maps for values from a minimum, and for values with a sign.  Small values are pale, so that the
+# shading of a surface stays visible there.
 _POINTS = {
     "sequential": "eeedd2 efe2b7 efd79b eecc7d eec05b edae4e ec9b41 e98834 e67425"
     " d8632e ca5234 bc4038 ad2c3a 942540 7c1e43 651545 4f0a45",
@@ -152,7 +151,7 @@ _POINTS = {
 
 @functools.cache
 def colour_table(map_name: str) -> Colours:
-    """The colours of a map, (SHADES, 3) from the lowest to the highest; do not write to it."""
+    """The colours of a map, (SHADES, 3) from the lowest to the highest; read-only."""
     points = np.array([list(bytes.fromhex(point)) for point in _POINTS[map_name].split()])
     at = np.linspace(0.0, len(points) - 1.0, SHADES)
     channels = [np.interp(at, np.arange(len(points)), channel) for channel in points.T]
@@ -164,9 +163,9 @@ def colour_table(map_name: str) -> Colours:
 def map_colours(values: Floats, low: float, high: float, map_name: str = "sequential") -> Colours:
     """Colours (n, 3) of values (n,): ``low`` gets the map's first one, ``high`` its last.
 
-    What lies beyond gets the colour of the nearer end, and what is not a number ``UNKNOWN``.  With
-    ``low`` equal to ``high`` every value up to them gets the first colour (of the diverging map,
-    the middle one), and those beyond the last.
+    Values beyond these get the colour of the nearer end, NaN gets ``UNKNOWN``.  If ``low`` equals
+    ``high``, all values up to it get the first colour (of the diverging map, the middle one), and
+    greater ones the last.
     """
     colours = colour_table(map_name)
     values = np.asarray(values, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""A mesh in another format, and what that format cannot carry.
+"""Conversion of a mesh to another format, with a list of what that format cannot store.
 
-Positions, faces, vertex colours and the presence of vertex normals go across; everything else a
-file has is named as lost."""
+Positions, faces and vertex colours are converted, and vertex normals are recomputed if the file has
+some.  Everything else in the file is listed as lost."""
 
 import contextlib
 import re
@@ -27,7 +27,7 @@ _COLOUR_PROPERTIES = re.compile(
     r"vertex\.(diffuse_)?(red|green|blue|alpha)( |$)|vertex( colours|\.color_0)$", re.IGNORECASE
 )
 _DERIVED = ("facet normals",)
-"""Properties that follow from the positions, so that nothing is lost without them."""
+"""Properties that follow from the positions, so that they are not lost."""
 
 _ENCODINGS = {
     "ply": ("binary", "ascii"),
@@ -44,15 +44,15 @@ _ENCODINGS = {
 """Encodings of each format, the default one first."""
 
 WRITABLE = tuple(_ENCODINGS)
-"""Formats that can be written, in the order in which help names them."""
+"""Formats that can be written, in the order of help."""
 
 _SINGLE = ("glb", "gltf", "stl")
 
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """What goes across: positions (n, 3), triangles (m, 3), polygons or None where these are the
-    triangles, colours (n, 3 or 4) or None, and unit normals (n, 3) or None."""
+    """What is converted: positions (n, 3), triangles (m, 3), polygons (None if these are the
+    triangles), colours (n, 3 or 4) or None, and unit normals (n, 3) or None."""
 
     vertices: Floats
     faces: Ints
@@ -68,18 +68,18 @@ class _Mesh:
 def convert(
     mesh_file: MeshFile, vertices: Floats, to: str, encoding: str = "same", precision: str = "same"
 ) -> tuple[Buffer, tuple[str, ...]]:
-    """A mesh in another format.
+    """Convert a mesh to another format.
 
     Parameters
     ----------
-    mesh_file : what was read.
+    mesh_file : the file that was read.
     vertices : (n, 3), the new positions, file units.
     to : the format, one of ``WRITABLE``.
-    encoding : ``same`` for the format's usual one, ``ascii`` or ``binary``.
-    precision : ``same`` for float32 where the source has float32 and float64 otherwise;
-        ``float32``, ``float64``.  Text has the shortest digits that give the number back.
+    encoding : ``same`` for the format's default, ``ascii`` or ``binary``.
+    precision : ``same`` for float32 if the source has float32, else float64; ``float32``,
+        ``float64``.  Text has the shortest digits from which the number can be read exactly.
 
-    Returns the file, and what of the source it does not carry, one entry for each thing.
+    Returns the file, and what it lacks of the source, one entry for each loss.
     Raises UnsupportedError for a format, encoding or precision that cannot be written.
     """
     single = _is_single(mesh_file, to, encoding, precision)
@@ -102,14 +102,14 @@ def convert(
         )
     if precision == "float64" and to in _SINGLE and encoding == "binary":
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
-    mesh, losses = _mesh(mesh_file, vertices, to)
+    mesh, losses = _build_mesh(mesh_file, vertices, to)
     return _write(mesh, to, encoding, single), (*losses, *digits)
 
 
 def as_stored(
     mesh_file: MeshFile, vertices: Floats, to: str, encoding: str, precision: str
 ) -> Floats:
-    """New positions (n, 3) in the number type of what ``convert`` makes of them."""
+    """New positions (n, 3) rounded to the number type that ``convert`` writes."""
     if (to == mesh_file.format and precision == "same") or {to, mesh_file.format} == SCENES:
         vertices = mesh_file.as_stored(vertices)
         if mesh_file.precision != "text":
@@ -128,21 +128,21 @@ def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> b
 
 
 def _lost_digits(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[str, ...]:
-    """The loss of digits in float32, where it is one: far from the origin it ruins a scan."""
+    """The loss of digits in float32, if it matters: far from the origin it ruins a scan."""
     if mesh_file.precision == "float32" or not len(vertices):
         return ()
     step = float(np.spacing(np.float32(min(float(np.abs(vertices).max()), 3e38))))
     extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
-    # Of the same format the user has named the type.
+    # For the same format, the user has named the type.
     is_unnamed = mesh_file.precision == "float64" and to != mesh_file.format
     is_lost = is_unnamed or step > 1e-6 * extent
     return (f"digits (float32 rounds positions to {step:.1g} units)",) if is_lost else ()
 
 
-def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
-    """What goes across into format ``to``, and what does not."""
+def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
+    """What can be converted to the format ``to``, and the losses."""
     colours = None
-    # Colours that cannot be read are named as lost.
+    # Colours that cannot be read are listed as lost.
     with contextlib.suppress(InputError):
         colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
     has_normals = any(_NORMAL_PROPERTIES.match(prop) for prop in mesh_file.properties)
@@ -175,7 +175,7 @@ def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[s
 
 
 def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:
-    """The normalised sum of the unit normals of each vertex's faces (n, 3), zeros for none."""
+    """The normalised sum of the unit normals of each vertex's faces (n, 3); zeros if that is 0."""
     from msal_cli.kernels.geometry import face_normals
 
     sums = np.zeros_like(vertices)
@@ -218,7 +218,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
 
 
 def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> bytes:
-    """A VTK or VTU file; of VTK's versions the one that most programs read."""
+    """A VTK or VTU file; VTK in the version that most programs read."""
     import io
     import tempfile
     from pathlib import Path
@@ -228,7 +228,7 @@ def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> byte
     mesh = meshio.Mesh(points, [("triangle", faces)])
     with tempfile.TemporaryDirectory(prefix="msal-") as folder:
         path = Path(folder) / f"mesh.{to}"
-        # meshio advises against text.
+        # meshio prints a warning for text.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             mesh.write(path, file_format={"vtk": "vtk42"}.get(to, to), binary=encoding != "ascii")
         return path.read_bytes()
@@ -253,7 +253,7 @@ def _as_scene(points: Floats, mesh: _Mesh, to: str) -> Buffer:
 
 
 def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
-    """PLY, little endian; ascii through the codec, which knows how to print."""
+    """PLY, little endian; ascii is made by the codec, which formats the numbers."""
     from msal_cli.codecs import ply
 
     positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
@@ -274,7 +274,7 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
 
 def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     if mesh.colours is not None:
-        # Five digits keep each of 256 steps apart.
+        # Five digits distinguish 256 steps.
         shades = np.round(mesh.colours[:, :3] / 255.0, 5)
         points, single = np.concatenate([points, shades], axis=1), False
     pieces = [float_lines(points, single=single, prefix=b"v ")]
@@ -286,8 +286,8 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
 
 
 def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:
-    """Numbers (n, k), a line for each row, as the shortest text that is read back as the same
-    number, of float32 where they are ``single``."""
+    """Numbers (n, k), a line per row, as the shortest text that is read as the same number, of
+    float32 if ``single``."""
     from msal_cli.kernels import text
 
     digits, stops = text.print_shortest(values.reshape(-1), single)

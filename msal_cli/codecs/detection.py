@@ -1,4 +1,4 @@
-"""Which format a file has, by its name and by its first bytes."""
+"""Detect the format of a file by its name and by its first bytes."""
 
 import re
 
@@ -9,10 +9,10 @@ from msal_cli.storage.regular import LOOKED_AT, Buffer
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 READABLE = ("ply", "obj", "stl", "glb", "gltf", "3mf", "off", "vtk", "vtu", "vtp")
-"""Suffixes of the formats that are read, in the order in which help names them."""
+"""Suffixes of the formats that are read, in the order of help."""
 
 OWN_FORMATS = READABLE[:6]
-"""Formats whose readers explain damaged content themselves."""
+"""Formats whose readers describe damaged content themselves."""
 
 _MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
 _MODELLER = "convert it to PLY or glTF, for example with Blender or MeshLab"
@@ -21,13 +21,13 @@ _CONVERTERS = {
     **dict.fromkeys(("dae", "3ds"), _MODELLER),
     "gii": "convert it to VTK, for example with mris_convert of FreeSurfer",
 }
-"""Formats that are known but not read, and what converts them."""
+"""Formats that are known but not read, and how to convert them."""
 
 SCENES = {"glb", "gltf"}
-"""Containers of one format, which hold the same."""
+"""Two containers for the same content."""
 
 _WIDE_TEXT = re.compile(rb"\xff\xfe(?:[^\0]\0){4}|\xfe\xff(?:\0[^\0]){4}")
-"""How text in UTF-16 begins; no binary format does."""
+"""The beginning of a text in UTF-16; no binary format has it."""
 
 _GIT_LFS = b"version https://git-lfs.github.com/spec/"
 
@@ -64,18 +64,18 @@ _BEGINNINGS = (
 
 
 def format_of_name(name: str) -> str:
-    """The format that a file name stands for, ``.gz`` disregarded; empty if none that is known."""
+    """The format of a file name, without ``.gz``; empty if it is not known."""
     stem = name[: -len(".gz")] if is_gzip_name(name) else name
     suffix = re.search(r"\.([^./\\]*)$", stem)
     return suffix[1].lower() if suffix and suffix[1].lower() in READABLE else ""
 
 
 def content_format(data: Buffer, expected: str = "", size: int | None = None) -> str:
-    """The format that the bytes themselves look like; empty if it is not known.
+    """The format that the bytes look like; empty if it is not known.
 
-    ``expected`` is the format that the name says.  An OBJ is known by all of its lines, which takes
-    longer than the rest, so that where one is expected its reader has to find out.  ``size`` is
-    that of the file where ``data`` is only its beginning.
+    ``expected`` is the format of the name.  To detect an OBJ all of its lines are matched, which
+    takes longest; so where one is expected, this is left to its reader.  ``size`` is that of the
+    file if ``data`` is only its beginning.
     """
     head = bytes(memoryview(data)[:LOOKED_AT])
     size = len(data) if size is None else size
@@ -89,8 +89,8 @@ def content_format(data: Buffer, expected: str = "", size: int | None = None) ->
 
 
 def refuse_no_mesh(head: Buffer) -> None:
-    """Raise FormatError for what no format begins with: text in UTF-16, and what Git LFS leaves in
-    place of a file that was not fetched."""
+    """Raise FormatError for content of no format: text in UTF-16, and the pointer that Git LFS
+    leaves in place of a file that was not fetched."""
     if bytes(memoryview(head)[: len(_GIT_LFS)]) == _GIT_LFS:
         raise FormatError(
             "the file is a pointer of Git LFS, and the mesh was not fetched",
@@ -106,8 +106,8 @@ def refuse_no_mesh(head: Buffer) -> None:
 
 
 def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
-    """Whether every line begins with a keyword of OBJ: the last one looked at may be cut off, and
-    the rest of a continued line is no line of its own."""
+    """Whether every line begins with a keyword of OBJ.  The last line may be cut off; the rest of a
+    continued line belongs to the line before."""
     head = re.sub(rb"\\\r?\n", b" ", head.removeprefix(BYTE_ORDER_MARK))
     lines = head.splitlines()
     if is_cut:
@@ -118,10 +118,10 @@ def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
 
 
 def resolve_format(data: Buffer, name: str, format: str | None) -> str:
-    """The format to read a file in, which its content agrees with; parameters as of ``open_mesh``.
+    """The format to read a file in; its content must agree.  Parameters are those of ``open_mesh``.
 
-    Raises UnsupportedError for a format that is not known; FormatError, TruncatedError for a
-    content of another format than the name says, for what is no mesh, and for an empty file.
+    Raises UnsupportedError for an unknown format; FormatError or TruncatedError for content of
+    another format than the name, for content that is no mesh, and for an empty file.
     """
     refuse_no_mesh(data)
     wanted = _wanted(data, name, format)

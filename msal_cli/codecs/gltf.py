@@ -1,9 +1,9 @@
-"""glTF: positions and normals replaced in binary data, and bounds of positions in a description.
+"""glTF: replace positions and normals in binary data, and bounds of positions in the description.
 
 All else is kept: materials, textures, animations, extras, the order of everything.  A GLB file has
-its data in a chunk of its own; a .gltf has them as base64 inside its text, which is replaced there,
-or in files beside it, which are written beside the output.  The names of those come from strangers:
-nothing outside the folder of the .gltf is opened, and nothing but regular files."""
+its data in a chunk of its own.  A .gltf has them as base64 inside its text, where they are
+replaced, or in files beside it, which are written beside the output.  The names of these files are
+untrusted: only regular files in the folder of the .gltf are opened."""
 
 import base64
 import contextlib
@@ -33,12 +33,12 @@ from msal_cli.storage.urls import is_url
 class SceneFile(mesh_file.MeshFile):
     """An opened scene; see ``codecs.mesh_file.MeshFile``.
 
-    ``vertices`` are those of every part, one behind the other.  With several parts they are in the
-    frame of the scene, since two parts may coincide in their own; with one part, in its own.
+    ``vertices`` are those of all parts, concatenated.  With several parts they are in the frame of
+    the scene, since two parts may coincide in their own; with one part, in its own.
 
-    Its numbers lie in ``scene.data``; those who inherit put that into a file: ``_pack`` makes the
-    file with other data and a description that fits them, and ``_unpack`` the description and the
-    data of a file that was made of ``vertices`` (n, 3).
+    Its numbers are in ``scene.data``.  Subclasses put that into a file: ``_pack`` makes the file
+    with other data and a matching description, and ``_unpack`` gets the description and the data of
+    a file that was made for ``vertices`` (n, 3).
     """
 
     format = ""
@@ -54,7 +54,7 @@ class SceneFile(mesh_file.MeshFile):
     def replaced(self, vertices: Floats) -> Buffer:
         if np.array_equal(vertices, self.vertices):
             return self.data
-        # Also where all numbers are rounded to what they were: bounds need not be theirs.
+        # Even if all numbers are rounded to the old ones: the bounds may differ.
         return self._pack(self.replaced_data(vertices))
 
     def check(self, output: Buffer, vertices: Floats) -> None:
@@ -71,19 +71,19 @@ class SceneFile(mesh_file.MeshFile):
             entry = expected["accessors"][index]
             if word in entry:
                 entry[word] = json.loads(gltf_scene.write_bound(json.dumps(entry[word]), bound))
-        # As text, because a number that is none, which Python reads, is not equal to itself.
+        # Compared as text, because NaN, which Python reads, is not equal to itself.
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
             raise errors.InternalError("the description of a scene is not what it should be")
 
     def _changes(self, vertices: Floats) -> list[Change]:
-        # Also when checked: positions of the first part that moved must be ones that can be stored.
+        # When checking, too, the first part that moved must have positions that can be stored.
         changes = super()._changes(vertices)
         self._require_ranges(changes[:1])
         return changes
 
     def _bounds(self, data: Buffer) -> Iterator[tuple[int, str, list[float]]]:
-        """The bounds that positions have in ``data``: accessor, ``min`` or ``max``, numbers."""
+        """The bounds of positions in ``data``: accessor, ``min`` or ``max``, numbers."""
         for part in self.scene.parts.values():
             # Column by column, because numpy reduces the first of two axes slowly.
             columns = part.positions.rows(as_bytes(data)).T
@@ -93,7 +93,7 @@ class SceneFile(mesh_file.MeshFile):
                 yield index, "max", most
 
     def text_of(self, data: Buffer) -> bytes:
-        """The description with the bounds that positions have in ``data``."""
+        """The description with the bounds of positions in ``data``."""
         spans = gltf_scene.find_entries(self.text, "accessors")
         edits = [
             (span, gltf_scene.write_bound(self.text[slice(*span)], bound))
@@ -144,12 +144,12 @@ def _layout(scene: gltf_scene.Scene) -> mesh_file.Layout:
 def _renew_normals(
     faces: Ints, stored: Floats, linear: Floats, old: Floats, new: Floats
 ) -> tuple[Floats, Flags]:
-    """The normals (n, 3) of a part, which ``linear`` (3, 3) takes into the scene, and which of them
-    changed; ``old`` and ``new`` begin with its vertices."""
+    """The normals (n, 3) of a part for new vertices, and which of them changed; ``linear`` (3, 3)
+    transforms the part into the scene, ``old`` and ``new`` begin with its vertices."""
     from msal_cli.kernels.geometry import regroup_normals
 
     count = len(stored)
-    # A stored normal may be anything.
+    # A stored normal may be any number.
     with np.errstate(over="ignore", invalid="ignore"):
         normals, is_changed = regroup_normals(
             old[:count], new[:count], faces, faces, stored @ np.linalg.inv(linear)
@@ -161,13 +161,13 @@ def _renew_normals(
 
 
 _HEAD = 20
-"""Bytes before the description: the header of the file and that of its first chunk."""
+"""Bytes before the description: the headers of the file and of its first chunk."""
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
 def expected_bytes(head: memoryview, total: int) -> int:
-    """The bytes that a file of ``total`` bytes that begins with ``head`` should have."""
+    """The size that a file should have, by its beginning ``head``; it has ``total`` bytes."""
     if total < _HEAD:
         raise errors.TruncatedError(f"the file has only {total} bytes", hint=errors.EXPORT_AGAIN)
     magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
@@ -187,7 +187,7 @@ def expected_bytes(head: memoryview, total: int) -> int:
 
 
 def _split_glb(data: Buffer) -> tuple[bytes, memoryview, int]:
-    """The description, all behind it, and how much of that belongs to the file."""
+    """The description, everything after it, and how many bytes of that belong to the file."""
     view = memoryview(data).cast("B")
     length = expected_bytes(view, len(view))
     (size,) = struct.unpack_from("<I", view, 12)
@@ -221,7 +221,7 @@ class GlbFile(SceneFile):
         super().__init__(data, text, gltf_scene.Scene(content, as_bytes(rest), places))
 
     def _pack(self, data: Buffer) -> bytes:
-        """The file with other data behind the description, whose padding is made to fit."""
+        """The file with other data after the description, whose padding is adjusted."""
         head = bytes(memoryview(self.data).cast("B")[: _HEAD + len(self.text)])
         text = self.text_of(data)
         if text != head[_HEAD:]:
@@ -240,7 +240,7 @@ class GlbFile(SceneFile):
 _BASE64 = ";base64,"
 _DATA_URI = re.compile(rb'"data:[^"]*"')
 _MAX_BEHIND = 256 << 20
-"""Bytes behind the declared end of a buffer that are carried along whatever its size."""
+"""Bytes after the declared end of a buffer that are kept, whatever its size."""
 
 _MAX_BUFFERS = 10_000
 _AS_GLB = "export it as .glb, which holds everything in one file"
@@ -262,9 +262,9 @@ def _decode_data_uri(uri: str, where: str) -> bytes | None:
 
 
 def _file_name(uri: str, where: str) -> str:
-    """The path, with slashes, that a reference means relative to the folder of its .gltf.
+    """The path, with slashes, of a reference relative to the folder of its .gltf.
 
-    Raises UnsupportedError if it leads out of that folder, or is no path.
+    Raises UnsupportedError if it leads out of that folder, or is not a path.
     """
     try:
         name = unquote(uri, errors="strict")
@@ -288,8 +288,8 @@ def _file_name(uri: str, where: str) -> str:
 
 
 def _read_file(name: str, path: str, declared: int, room: int, where: str) -> bytes:
-    """The bytes, ``declared`` ones and ``room`` at most, of the file ``name`` beside ``path``."""
-    # A stream and an object in a store have no folder.
+    """The file ``name`` beside ``path``: ``declared`` bytes are expected, ``room`` allowed."""
+    # Streams and objects in a store have no folder.
     if path in ("", "-") or is_url(path):
         raise errors.UnsupportedError(
             f"the buffer {name!r} cannot be read, because the .gltf came without its folder",
@@ -331,13 +331,13 @@ class GltfFile(SceneFile):
 
     def __init__(self, data: Buffer, path: str) -> None:
         text = bytes(data)
-        # Base64 inside the text does not count.
+        # Base64 inside the text is not counted.
         uris = (uri.end() - uri.start() for uri in _DATA_URI.finditer(text))
         gltf_scene.require_short(len(text) - sum(size - 1 for size in uris))
         content = gltf_scene.parse_json(text, "description")
         self._path = path
-        self.names: dict[int, str] = {}  # the files of those buffers that are files, by number
-        # First byte and size in the data of all that a buffer holds, also behind its declared end.
+        self.names: dict[int, str] = {}  # for buffers that are files, their names by number
+        # For each buffer, its first byte and size in the data, with bytes after its declared end.
         self.spans: dict[int, tuple[int, int]] = {}
         entries = gltf_scene.as_dicts(content.get("buffers"))
         if len(entries) > _MAX_BUFFERS:
@@ -350,7 +350,7 @@ class GltfFile(SceneFile):
         files: dict[str, tuple[int, int]] = {}
         size = 0
         for number, entry in enumerate(entries):
-            # What is wrong with a buffer counts only if a surface is in it.
+            # An invalid buffer is an error only if a surface uses it.
             try:
                 piece = self._read_buffer(number, entry, size, files)
                 pieces.append(piece)
@@ -369,8 +369,8 @@ class GltfFile(SceneFile):
     def _read_buffer(
         self, number: int, entry: dict[str, Any], start: int, files: dict[str, tuple[int, int]]
     ) -> bytes:
-        """The bytes of a buffer, which are put at ``start`` into the data; none for another buffer
-        in one of the ``files`` that are there."""
+        """The bytes of a buffer, which get the place ``start`` in the data; empty if it shares one
+        of the ``files`` that were read before."""
         where = f"buffer {number}"
         uri, declared = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
@@ -394,17 +394,17 @@ class GltfFile(SceneFile):
         self.spans[number] = span
         return content or b""
 
-    def _changed(self, data: Buffer) -> set[int]:
-        """The buffers that differ in ``data``, that of the scene with new positions."""
+    def _changed_buffers(self, data: Buffer) -> set[int]:
+        """The buffers that differ in ``data``, the data of the scene with new positions."""
         new, old = memoryview(data), self.scene.data.data
         spans = self.spans.items()
         return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
 
     def _pack(self, data: Buffer) -> Buffer:
-        """The text with other data, as far as they are in it; the files that hold the others come
-        from ``beside``."""
+        """The text with other data, if they are inside it; files for the other buffers are made by
+        ``beside``."""
         uris = {}
-        for number in self._changed(data) - set(self.names):
+        for number in self._changed_buffers(data) - set(self.names):
             at, size = self.spans[number]
             uri = self.scene.entry("buffers", number)["uri"]
             uris[number] = (
@@ -413,7 +413,7 @@ class GltfFile(SceneFile):
         return _replace_uris(self.text_of(data), uris)
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
-        """The text with the buffers inside it as they were, and the data; those beside it are not
+        """The text with its inner buffers as they were, and the data; buffers in files are not
         written yet."""
         data = self.replaced_data(vertices)
         text = bytes(output).decode("latin-1")
@@ -443,11 +443,11 @@ class GltfFile(SceneFile):
     ) -> tuple[Buffer, tuple[mesh_file.Companion, ...]]:
         """``output``, which ``replaced`` made, and the files that it needs in its folder.
 
-        Where a vertex moved, a buffer that is named as the input is gets the name of the output at
-        ``path``, so that two outputs in one folder, or the input, never share one.
+        If a vertex moved, a buffer that is named after the input is renamed after the output at
+        ``path``, so that two outputs in one folder, or an output and the input, never share one.
 
         Raises UnsupportedError if the output goes to a stream or to an object store, or is the
-        input; OutputError with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
+        input; OutputError (``E_SIDECAR``) if a buffer of the input would be overwritten.
         """
         is_moved = bool((vertices != self.vertices).any())
         if not self.names or (path is None and not is_moved):
@@ -464,7 +464,7 @@ class GltfFile(SceneFile):
                 hint="write to another folder, or convert it to .glb first",
             )
         data = self.replaced_data(vertices) if is_moved else self.scene.data.data
-        changed = self._changed(data)
+        changed = self._changed_buffers(data)
         companions: dict[str, mesh_file.Companion] = {}
         uris = {}
         stem, new_stem = _stem(self._path), _stem(path)
@@ -514,7 +514,7 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def names_of_buffers(data: Buffer) -> set[str]:
-    """The files that the buffers of a .gltf file are in; none if it is no such file."""
+    """The files of the buffers of a .gltf file; empty if it is not one."""
     try:
         uris = [
             entry.get("uri")
@@ -531,11 +531,11 @@ def write_companions(
 ) -> tuple[str, ...]:
     """Write the files that belong to an output, before the output itself.
 
-    A file that is there is replaced only if an output of an earlier run, at ``output_path``, names
-    it as its own.  ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
+    An existing file is replaced only if an earlier output at ``output_path`` refers to it.
+    ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
     Returns what was done, one line for each file.
 
-    Raises OutputError with code ``E_SIDECAR`` if another file has the place, else ``E_WRITE``.
+    Raises OutputError: ``E_SIDECAR`` if another file has the name, else ``E_WRITE``.
     """
     folder = Path(output_path).parent
     earlier: set[str] = set()
@@ -580,8 +580,8 @@ def _write_companion(
 def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
     """The scene with ``vertices`` (n, 3) as ``glb`` or ``gltf``.
 
-    None where that would lose something: for buffers that could not be read, and for views that
-    are described a second time in an extension.
+    None if that would lose something: buffers that could not be read, or views that an extension
+    describes a second time.
     """
     is_moved = bool((vertices != file.vertices).any())
     data = memoryview(file.replaced_data(vertices))
@@ -601,9 +601,9 @@ def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
 
 
 def _merge_buffers(content: dict[str, Any], places: Mapping[int, Any], data: memoryview) -> bytes:
-    """The content of all buffers one behind the other; the description is changed to match.
+    """All buffers concatenated; the description is changed to match.
 
-    Raises ValueError and others where it cannot be.
+    Raises ValueError and others if that is impossible.
     """
     starts: list[int] = []
     pieces: list[Buffer] = []
@@ -625,7 +625,7 @@ def _merge_buffers(content: dict[str, Any], places: Mapping[int, Any], data: mem
 
 
 def _to_json(content: dict[str, Any]) -> bytes:
-    """The description as UTF-8; half a surrogate pair, which has none, stays an escape."""
+    """The description as UTF-8; lone surrogates, which UTF-8 lacks, stay escaped."""
     try:
         return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
     except UnicodeEncodeError:

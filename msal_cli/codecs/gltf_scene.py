@@ -1,9 +1,8 @@
-"""The description of a glTF scene: where its surfaces lie, where its nodes put them, and its text.
+"""The description of a glTF scene: the places of its surfaces, its transforms, and its text.
 
-The JSON comes from strangers, so that every number taken from it is checked for its type and range
-before it is used.  Where a few of its values are replaced all other text stays as it is: spaces,
-the order of keys, how numbers are written.  That text is Latin-1 here, whatever it is, so that each
-character is one byte.
+The JSON is untrusted: every number from it is checked for type and range before use.  If a few of
+its values are replaced, all other text stays as it is: spaces, the order of keys, the form of
+numbers.  The text is decoded as Latin-1, whatever it is, so that each character is one byte.
 """
 
 import json
@@ -23,8 +22,8 @@ from msal_cli.codecs.text_slots import Span, replace_spans
 from msal_cli.light_dataclass import dataclass, field
 
 _MAX_TEXT_BYTES = 64 << 20
-"""Longest description that is read; those of very large scenes have a few megabytes, and in memory
-it may take thirty times its size."""
+"""Longest description that is read; very large scenes have a few megabytes.  In memory it may take
+thirty times its size."""
 
 _GAP = re.compile(r"[ \t\n\r,:]*")
 _decoder = json.JSONDecoder()
@@ -33,7 +32,7 @@ _decoder = json.JSONDecoder()
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
     try:
         content = json.loads(data.decode().removeprefix("\ufeff"))
-        json.dumps(content)  # what is nested too deeply to be written is refused at once
+        json.dumps(content)  # fails at once for content that is nested too deeply
     except (ValueError, RecursionError) as failure:
         raise errors.damaged(f"the description is not JSON: {str(failure)[:200]}", where) from None
     if not isinstance(content, dict):
@@ -64,8 +63,8 @@ def as_dicts(value: object) -> list[dict[str, Any]]:
 
 
 def _find_values(text: str, at: int) -> Iterator[tuple[str, Span]]:
-    """Where the values lie of the object or list that begins at ``at``, in valid JSON, and their
-    keys, empty in a list."""
+    """The keys and places of the values in the object or list that begins at ``at`` of valid JSON;
+    in a list keys are empty."""
     is_object = text[at] == "{"
     at = _skip_gap(text, at + 1)
     while text[at] not in "}]":
@@ -84,10 +83,10 @@ def _skip_gap(text: str, at: int) -> int:
 
 
 def find_entries(text: str, kind: str) -> list[dict[str, Span]]:
-    """Where the values of each entry of the list ``kind`` lie in a description, by their keys.
+    """The places of the values of each entry of the list ``kind`` in a description, by keys.
 
-    ``text`` is known to be an object of JSON, and its value of ``kind`` to be a list of objects;
-    of keys that stand twice the last one counts, as for every reader.
+    ``text`` must be a JSON object, and its value of ``kind`` a list of objects.  Of equal keys the
+    last one counts, as for every reader.
     """
     spans = dict(_find_values(text, text.index("{")))
     if kind not in spans:
@@ -99,7 +98,7 @@ def find_entries(text: str, kind: str) -> list[dict[str, Span]]:
 def write_bound(old: str, new: list[float]) -> str:
     """The text ``old`` of a bound with the numbers ``new``.
 
-    Of three numbers, those that are the same as float32 keep their text.
+    If it has three numbers, those that are the same in float32 keep their text.
     """
     value = json.loads(old, parse_int=float)
     if not isinstance(value, list) or [type(number) for number in value] != 3 * [float]:
@@ -112,13 +111,13 @@ def write_bound(old: str, new: list[float]) -> str:
 
 _FLOAT_TYPES = {5126: "<f4"}
 _POSITION_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", **_FLOAT_TYPES}
-"""Those of whole numbers are of the extension KHR_mesh_quantization."""
+"""The whole-number types are those of the extension KHR_mesh_quantization."""
 
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _COLUMNS = {"VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = _SURFACES = 4, 5, 6
 _ALWAYS_READ = 1 << 16
-"""Corners that are read however small the file is; see ``Scene.parts``."""
+"""Corners that are read from any file, however small; see ``Scene.read_parts``."""
 
 _MAX_DEPTH = 200
 _PLAIN = "export it without compression, or convert it to PLY"
@@ -128,8 +127,8 @@ _PLAIN = "export it without compression, or convert it to PLY"
 class Accessor:
     """Rows of numbers: ``count`` rows, the first at byte ``at``, ``stride`` bytes apart.
 
-    ``index`` is its number in the description; several may have the same rows.  A number of numpy's
-    type ``code`` stands for ``unit`` times what is stored.
+    ``index`` is its number in the description; several may have the same rows.  A stored number,
+    of numpy's type ``code``, is multiplied by ``unit``.
     """
 
     index: object = field(compare=False)
@@ -151,7 +150,7 @@ class Accessor:
         return np.ndarray((self.count, self.columns), self.code, data, self.at, strides)
 
     def slots(self, data: Bytes) -> Strided:
-        """Where the rows, of three numbers, are in ``data``."""
+        """The slots of the rows, which have three numbers each."""
         places = 0, self.width // 3, 2 * self.width // 3
         codes = (self.code,) * 3
         return Strided(data, self.at, self.count, self.stride, places, codes, whole_rows=True)
@@ -162,25 +161,25 @@ class Part:
     """Surfaces over one list of positions."""
 
     positions: Accessor
-    # one to a position, if all of them have the same that can be recomputed
+    # one per position; None if some primitives have other ones, or they cannot be recomputed
     normals: Accessor | None
     # the numbers of the meshes that have it, the first one first
     meshes: dict[int, None] = field(default_factory=dict)
-    # the numbers of all accessors that its positions have
+    # the numbers of all accessors of its positions
     accessors: dict[Any, None] = field(default_factory=dict)
-    # (m, 3) into the positions by the mode and the indices that they come from, so that a mesh that
-    # is twice in a file, with other materials perhaps, is read once
+    # (m, 3) indices of positions, by the mode and the indices that they were made from, so that a
+    # mesh which occurs twice in a file, perhaps with other materials, is read once
     triangles: dict[object, Ints] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
 class Scene:
-    """A description, and the bytes that it speaks of."""
+    """A description, and the bytes that it refers to."""
 
     content: dict[str, Any]  # the description
     data: Bytes  # (size,) uint8, the bytes of its buffers and perhaps more
-    # first byte and size of each buffer in ``data``, or why it cannot be had; a buffer that the
-    # reader does not look for is left out
+    # first byte and size of each buffer in ``data``, or the error for it; a buffer that the reader
+    # does not look for is left out
     buffers: Mapping[int, tuple[int, int] | errors.MsalError]
     # the surfaces by their positions; filled by ``read_parts``
     parts: dict[Accessor, Part] = field(default_factory=dict)
@@ -190,7 +189,7 @@ class Scene:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""
         entries = as_list(self.content.get(kind))
         if isinstance(index, int) and not isinstance(index, bool) and 0 <= index < len(entries):
-            # Not a copy: a large entry may be named very often.
+            # Not a copy: a large entry may be referred to very often.
             entry = entries[index]
             if isinstance(entry, dict):
                 return entry
@@ -199,8 +198,8 @@ class Scene:
     def find_rows(
         self, index: object, codes: Mapping[int, str], type: str, where: str
     ) -> Accessor | None:
-        """The rows of an accessor; None if its numbers have none of the types ``codes``, or if its
-        rows are not of the ``type``, which is not looked at if it is empty."""
+        """The rows of an accessor; None if its number type is none of ``codes``, or if its rows are
+        not of the ``type``, which is not checked if it is empty."""
         accessor = self.entry("accessors", index)
         component = accessor.get("componentType")
         code = codes.get(component) if isinstance(component, int) else None
@@ -242,7 +241,7 @@ class Scene:
         return Accessor(index, begin + offset + within, stride, count, columns, code, unit)
 
     def read_parts(self) -> None:
-        """Find all surfaces, those over one list of positions together."""
+        """Find all surfaces; those over the same positions become one part."""
         size = sum(place[1] for place in self.buffers.values() if isinstance(place, tuple))
         room = max(size, _ALWAYS_READ)
         for mesh in range(len(as_list(self.content.get("meshes")))):
@@ -262,8 +261,8 @@ class Scene:
                 source = primitive.get("mode", _TRIANGLES), indices
                 if source in part.triangles:
                     continue
-                # Any number of lists of positions may be joined with any number of lists of
-                # indices, so that a small file can ask for more faces than fit into memory.
+                # Any positions can be combined with any indices, so that a small file can ask for
+                # more faces than fit into memory.
                 if n_corners > room:
                     raise errors.TooLargeError(
                         "the primitives together have more corners than the file has bytes",
@@ -284,7 +283,7 @@ class Scene:
             raise errors.no_faces("the file has no triangles")
 
     def _find_part(self, mesh: int, primitive: dict[str, Any], where: str) -> Part | None:
-        """The part over the positions of a primitive; None if the primitive is no surface."""
+        """The part for the positions of a primitive; None if the primitive is no surface."""
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise errors.UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         attributes = as_dict(primitive.get("attributes"))
@@ -331,7 +330,7 @@ class Scene:
             elif part.normals is not None:
                 used.add(part.normals)
         regions = [rows for part in parts for rows in (part.positions, part.normals) if rows]
-        # Rows that do not fit beside one another are not compared: there may be very many.
+        # Rows that cannot all lie side by side are not compared: there may be very many.
         is_overlap = sum(rows.width * rows.count for rows in regions) > data_size
         if len(regions) > 1 and not is_overlap:
             starts = np.concatenate(
@@ -348,7 +347,7 @@ class Scene:
             )
 
     def properties(self) -> tuple[str, ...]:
-        """What is carried along."""
+        """What is kept unchanged, for reports."""
         names: dict[str, None] = {}
         others: dict[str, None] = {}
         for mesh in self.content["meshes"]:
@@ -370,7 +369,7 @@ class Scene:
         return (*words, *others, *(kind for kind in kinds if self.content.get(kind)))
 
     def references(self) -> tuple[str, ...]:
-        """Images in files of their own."""
+        """The image files that the scene refers to."""
         uris = [image.get("uri") for image in as_dicts(self.content.get("images"))]
         paths = [uri for uri in uris if isinstance(uri, str) and uri and not has_scheme(uri)]
         return tuple(dict.fromkeys(map(unquote, paths)))
@@ -421,7 +420,7 @@ def _transform(node: dict[str, Any]) -> Floats:
 
 
 def has_scheme(uri: str) -> bool:
-    """Whether a reference is more than a path: ``data:``, ``https:`` ..."""
+    """Whether a reference has a scheme (``data:``, ``https:`` ...), so that it is not a path."""
     return re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", uri) is not None
 
 

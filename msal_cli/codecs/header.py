@@ -1,12 +1,11 @@
-"""What the size of a file and its first 64 KB tell: counts, a forecast of memory, and lies.
+"""What the size of a file and its first 64 KB show: counts, a forecast of memory, and false counts.
 
-A header may promise more than the disk holds.  Whatever is refused here the codec would refuse as
-well, once all was read; only very large files with very much behind their mesh are refused here
-alone.
+A header may count more than the file contains.  Files that are refused here would also be refused
+by the codec, after all was read; except very large files with very much after their mesh.
 
-A forecast decides who may run beside whom, and refuses a file that cannot fit: it is never below
-what was measured, and at most about twice as much.  It explains nothing: whatever is damaged,
-hostile or not understood has no counts, and the reader says what is wrong with it.
+A forecast decides which files may run at the same time, and refuses a file that cannot fit: it is
+never below what was measured, and at most about twice as much.  It reports no errors: damaged,
+hostile or unknown content has no counts, and the reader says what is wrong with it.
 """
 
 import json
@@ -26,7 +25,7 @@ from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regu
 from msal_cli.storage.urls import is_url
 
 _ALWAYS_BELIEVED = 256 << 20
-"""Bytes that the header of a compressed file may always claim."""
+"""Bytes that the header of a compressed file may claim in any case."""
 
 _GLB_CHUNK = 20
 _VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
@@ -38,19 +37,19 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the beginning of a file says."""
+    """Facts from the beginning of a file."""
 
-    flavour: str  # the format, with ``-ascii`` for a text of a format that has both
-    # least_bytes, most_bytes: how many bytes the file must and may have; None for no limit
+    flavour: str  # the format, with ``-ascii`` for the text of a format that also has binary
+    # least_bytes, most_bytes: how many bytes the file must and may have; None is unlimited
     least_bytes: int = 0
     most_bytes: int | None = None
-    # vertices, faces: what the header counts, polygons as the file does; None where it does not
+    # vertices, faces: counts of the header, polygons as the file counts them; None without counts
     vertices: int | None = None
     faces: int | None = None
-    # n_vertices, n_triangles: the same, estimated where the header does not count them
+    # n_vertices, n_triangles: the same, or estimates if the header has no counts
     n_vertices: int | None = None
     n_triangles: int | None = None
-    error: MsalError | None = None  # why the reader will refuse the file
+    error: MsalError | None = None  # the error with which the reader will refuse the file
 
 
 def read_header(
@@ -58,8 +57,8 @@ def read_header(
 ) -> Header:
     """The header of a file of ``size`` bytes that begins with ``head``; never raises.
 
-    ``is_packed`` is set where the file is compressed, so that its size is a guess; ``beside`` are
-    the bytes of other files that hold a part of it.
+    ``is_packed`` means that the file is compressed, so that its size is a guess; ``beside`` are the
+    bytes of other files that contain a part of it.
     """
     view = memoryview(head)
     try:
@@ -89,14 +88,14 @@ def read_header(
         return Header(format, error=error)
 
 
-def _believed(size: int, is_packed: bool) -> int:
+def _max_claim(size: int, is_packed: bool) -> int:
     return max(_ALWAYS_BELIEVED, 4 * size) if is_packed else size
 
 
 def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     view, is_whole = memoryview(head), is_packed or len(head) >= size
     header, error = _try(lambda: ply_header.parse_header(view, is_whole))
-    # The end of the last line may be all that was not read.
+    # Perhaps only the end of the last line was not read.
     header = header or _try(lambda: ply_header.parse_header(view))[0]
     if header is None:
         return Header("ply", error=error)
@@ -105,7 +104,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     is_text = header.encoding == "ascii"
     flavour = "ply-ascii" if is_text else "ply"
     least, most = header.byte_range()
-    if least + is_text > _believed(size, is_packed):
+    if least + is_text > _max_claim(size, is_packed):
         if error is None and least > size:
             error = cut_short(
                 f"the header counts {least:,} bytes at the least, but the file has {size:,}",
@@ -116,8 +115,8 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     has_strips = "face" not in counts and "tristrips" in counts
     n_triangles = n_faces
     if has_strips:
-        # Each item of a strip but its first two is a triangle; how many there are, only reading
-        # the strips tells.
+        # Each item of a strip but the first two is a triangle; without reading the strips, their
+        # number is only limited.
         n_triangles = (size - least) // (2 if is_text else 4)
         n_triangles = 4 * counts["tristrips"] if is_packed else n_triangles
     elif "face" not in counts and "range_grid" in counts:
@@ -127,7 +126,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         item_bytes = sum(int(prop.code[1]) for prop in face.properties if prop.is_list)
         others = [prop for each in header.elements if each is not face for prop in each.properties]
         if is_packed:
-            # Triangles, as nearly all scans are.
+            # Assume triangles, as nearly all scans have.
             least += n_faces * 3 * item_bytes
         elif item_bytes and not any(prop.is_list for prop in others):
             # All list items are corners of polygons.
@@ -145,9 +144,9 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
         most, error = _try(lambda: stl.require_bytes(head, size))
     least = stl.wanted_bytes(head)
     count = (least - 84) // 50
-    # A text with zeros behind it is forecast as a binary file whose count is not known.
+    # A text followed by zeros is forecast as a binary file with an unknown count.
     if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
-        if len(head) < 84 or least > _believed(size, is_packed):
+        if len(head) < 84 or least > _max_claim(size, is_packed):
             return Header("stl", error=error)
         # A closed surface has half as many vertices as facets, once its corners are welded.
         counts = 3 * count, count, count // 2, count
@@ -155,13 +154,13 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     n_seen = len(_FACET.findall(head))
     if not n_seen:
         return Header("stl-ascii", most_bytes=most, error=error)
-    # A facet that is cut off at the end of what was read does not count as one.
+    # The last facet that was read may be cut off, and is not counted.
     n_facets = int(size * n_seen / len(head)) + 1
     return Header("stl-ascii", 0, most, None, None, n_facets // 2, n_facets, error)
 
 
 def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
-    """What ``read`` returns, or its error."""
+    """The result of ``read``, or its error."""
     try:
         return read(), None
     except MsalError as error:
@@ -169,13 +168,13 @@ def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
 
 
 def _count_scene(text: bytes, size: int) -> dict[str, Any]:
-    """The counts of a glTF scene whose description and buffers have ``size`` bytes; nothing where
-    the description is damaged, as the reader will say."""
+    """The counts of a glTF scene whose description and buffers have ``size`` bytes; empty if the
+    description is damaged, which the reader will report."""
     try:
         document = json.loads(text)
         accessors = document["accessors"]
         parts = [part for mesh in document["meshes"] for part in mesh["primitives"]]
-        # What is shared is read once.
+        # Shared accessors are read once.
         corners = {(part["attributes"]["POSITION"], part.get("indices")) for part in parts}
         n_vertices = sum(int(accessors[each]["count"]) for each in {each for each, _ in corners})
         n_triangles = sum(
@@ -191,7 +190,7 @@ def _count_scene(text: bytes, size: int) -> dict[str, Any]:
 
 
 MAX_BEHIND = 256 << 20
-"""Bytes behind the mesh that are carried along whatever the mesh's own size."""
+"""Bytes after the mesh that are kept, whatever the size of the mesh."""
 
 
 def read_input(
@@ -199,12 +198,12 @@ def read_input(
 ) -> Buffer:
     """The bytes of an input file, unless its size and beginning show that it is no mesh.
 
-    ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
-    as far as it is known.
+    ``format`` is the format's name, over the suffix; ``size`` is the size of an object behind a
+    URL, if known.
 
-    Raises InputError with code ``E_READ`` if the system cannot read it; FormatError,
-    TruncatedError, TooLargeError, UnsupportedError as ``open_mesh``, and TooLargeError for a file
-    that can never fit into memory.
+    Raises InputError (``E_READ``) if the system cannot read it; FormatError, TruncatedError,
+    TooLargeError and UnsupportedError as ``open_mesh`` does, and TooLargeError for a file that can
+    never fit into memory.
     """
     name = os.fspath(path)
     return read_whole(
@@ -213,8 +212,8 @@ def read_input(
 
 
 def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) -> None:
-    """Raise for an open file of ``size`` bytes that cannot be what it says, by its size and its
-    beginning; a small one is the codec's to refuse."""
+    """Raise for an open file of ``size`` bytes if its size and beginning show that it is invalid;
+    small files are left to the codec."""
     if size <= LOOKED_AT:
         return
     if size > largest_bytes():
@@ -222,7 +221,7 @@ def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) ->
     head = file.read(LOOKED_AT)
     said = format.lower().removeprefix(".") if format else format_of_name(name)
     seen = content_format(head, said)
-    # Another format than the name says is the codec's to explain.
+    # The codec explains a format other than that of the name.
     if head[:2] == GZIP_MAGIC or seen not in ("", said or seen):
         return
     header = read_header(said or seen, head, size)
@@ -238,16 +237,16 @@ def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) ->
 
 
 BASE_BYTES = 52_000_000
-"""Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (36 to 48 MB measured)."""
+"""Resident memory of a worker that has denoised a tiny mesh: the interpreter, the libraries and the
+compiled kernels (36 to 48 MB measured)."""
 
 
 class _Cost(NamedTuple):
     """Bytes of resident memory per byte of the file, and per vertex and per triangle together, at
     the peak of the default method.
 
-    Where the counts are not known there is a triangle for ``bytes_per_face`` bytes, for what a
-    method adds: fewer bytes than files have, that is, more triangles.
+    Without counts, a triangle is assumed for every ``bytes_per_face`` bytes, to add the memory of a
+    method: fewer bytes than real files have, so that triangles are overestimated.
     """
 
     per_byte: float
@@ -255,8 +254,8 @@ class _Cost(NamedTuple):
     bytes_per_face: float = 24.0
 
 
-# From benchmarks/peak_memory.py on a torus with a million faces and two cores: the forecast is what
-# was measured, or up to a tenth more for PLY, STL, OBJ and VTU, and more for others.
+# From benchmarks/peak_memory.py on a torus with a million faces and two cores.  The forecast is at
+# least the measured value, and for PLY, STL, OBJ and VTU at most a tenth more.
 _COSTS = {
     "ply": _Cost(2.1),
     "ply-ascii": _Cost(6.0),
@@ -274,24 +273,24 @@ _COSTS = {
 }
 _UNKNOWN = _Cost(32.0)
 _PER_BYTE_OF_ANY = 9.2
-"""Bytes per byte of a file whose format should count its elements and does not."""
+"""Bytes per byte of a file whose format has counts, but which has none that are valid."""
 
-# Bytes per triangle that writing another format takes, what was written being read back.
+# Bytes per triangle for writing another format, and reading it back.
 _CONVERTED = 450
 
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What is known of a file before it is loaded."""
+    """Facts and estimates of a file before it is loaded."""
 
     format: str = ""  # such as ``ply``; empty if it is not known
-    # vertices, faces: what the header says, polygons as the file counts them; None where it does
-    # not say, or says what the file has no bytes for
+    # vertices, faces: counts of the header, polygons as the file counts them; None if it has none,
+    # or counts more than the file has bytes for
     vertices: int | None = None
     faces: int | None = None
-    # an estimate where the header does not count them
+    # an estimate if the header has no count
     n_triangles: int = field(default=0, repr=False)
-    # resident memory of a process that denoises it, at the peak; None if there is no such file
+    # peak resident memory of a process that denoises the file; None if there is no such file
     memory_bytes: int | None = None
 
 
@@ -325,15 +324,15 @@ def of_beginning(
     method_bytes_per_face: int = 0,
     beside: int = 0,
 ) -> Forecast:
-    """What a file of ``size`` bytes that begins with ``head`` will ask for.
+    """Forecast a file of ``size`` bytes that begins with ``head``.
 
     Parameters
     ----------
-    format : the format, over the name's.
-    to : the format to be written where it is another, or the same in another encoding.
-    method_bytes_per_face : what the method needs per triangle beyond what all do; see
+    format : the format, over that of the name.
+    to : the format to write, if it is another one, or the same in another encoding.
+    method_bytes_per_face : memory of the method per triangle beyond that of all methods; see
         ``Method.bytes_per_face``.
-    beside : the bytes of other files that hold a part of it.
+    beside : the bytes of other files that contain a part of it.
     """
     packed = size if head[:2] == GZIP_MAGIC else 0
     if packed:
@@ -351,7 +350,7 @@ def of_beginning(
     if header.n_triangles is not None and header.n_vertices is not None:
         needed += cost.per_element * (header.n_vertices + header.n_triangles)
     elif header.flavour in ("ply", "stl", "glb"):
-        # Sizes alone say of these formats what they say of any.
+        # Without counts, these formats are forecast like any format.
         needed += (_PER_BYTE_OF_ANY - cost.per_byte) * size
     return Forecast(format, header.vertices, header.faces, n_triangles, int(needed))
 
@@ -365,14 +364,14 @@ def _beside(head: bytes, path: str) -> int:
     try:
         return sum((Path(path).parent / name).stat().st_size for name in names_of_buffers(head))
     except (OSError, ValueError):
-        return 0  # the reader says why
+        return 0  # the reader reports the error
 
 
 def expand_beginning(head: bytes, size: int) -> tuple[bytes, int]:
-    """The beginning of what is compressed, and how large the whole may be.
+    """The beginning of a compressed file, expanded, and an estimate of the expanded size.
 
-    The last bytes of the file would tell its size, but only modulo 4 GB and of its last member:
-    that the rest compresses like the beginning is the better guess, with a quarter on top.
+    The end of a gzip file has a size, but modulo 4 GB and only of the last member.  It is a better
+    guess that the rest compresses like the beginning; a quarter is added.
     """
     member = zlib.decompressobj(wbits=31)
     try:

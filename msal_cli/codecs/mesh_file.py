@@ -1,9 +1,9 @@
-"""An opened mesh file: a mesh, and the power to write it back.
+"""An opened mesh file: a mesh that can be written back with new positions.
 
-The formats' own modules (``ply``, ``off``, ``vtk`` ...) parse a file into a ``Layout``: positions,
-faces, and where they lie.  ``MeshFile`` keeps the original bytes, and replaces positions (and
-normals, where the file has them) inside a copy of them.  Replacing, checking, ranges and normals
-are the same for all formats and are here.
+The modules of formats (``ply``, ``off``, ``vtk`` ...) parse a file into a ``Layout``: positions,
+faces, and their places in the file.  ``MeshFile`` keeps the original bytes, and replaces positions
+(and normals, if the file has some) in a copy.  Replacing, checking, ranges and normals are the same
+for all formats and are here.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Companion:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceColours:
-    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
+    """Colours (n, 3) of the vertices, None if there are none to show, and notes about them."""
 
     vertices: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
@@ -50,68 +50,68 @@ class SurfaceColours:
 
 @dataclass(eq=False)
 class Surface:
-    """What can be denoised and compared: a mesh file, several as one, or a mesh in memory."""
+    """A mesh to denoise or compare: a mesh file, several as one, or a mesh in memory."""
 
     # (n, 3) float64, file units, in file order, exactly the values that the file stores
     vertices: Floats
     # (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons are cut
-    # into triangles and strips are unrolled, for the mathematics only
+    # into triangles and strips are unrolled, for the computation only
     faces: Ints
-    # vertices of the file that ``vertices`` leaves out because an earlier one is at the same
-    # position, as corners of STL's facets are; then no two of ``vertices`` are alike
+    # vertices of the file that ``vertices`` lacks because an earlier one is at the same position,
+    # such as corners of STL's facets; then no two of ``vertices`` are equal
     merged_vertices: int = 0
-    # those of its vertices where they were read, for pictures
+    # of the vertices, if they were read for pictures
     colours: SurfaceColours | None = None
     grid: Ints | None = None  # the samples (rows, columns) of a range grid that the faces join
-    unit: str | None = None  # that of the positions, such as "mm", where the file states one
+    unit: str | None = None  # that of the positions, such as "mm", if the file states one
 
     @property
     def n_corners(self) -> int | None:
-        """Corners that the file stores where it has no vertices of its own (STL), else None."""
+        """Corners in a file that has no vertices of its own (STL), else None."""
         n_merged = self.merged_vertices
         return len(self.vertices) + n_merged if n_merged else None
 
     def has_same_grid(self, other: Surface) -> bool:
         """Whether both are range grids of the same samples.
 
-        Their vertices correspond, even where their triangles, which depend on positions, differ.
+        Then their vertices correspond, even if their triangles, which depend on positions, differ.
         """
         own, others = self.grid, other.grid
         return own is not None and others is not None and np.array_equal(own, others)
 
     def has_same_faces(self, other: Surface) -> bool:
-        """Whether the vertices of both correspond one by one."""
+        """Whether the vertices of both correspond one to one."""
         return self.has_same_grid(other) or (
             len(self.vertices) == len(other.vertices) and np.array_equal(self.faces, other.faces)
         )
 
     def forget_vertices(self) -> None:
-        """Let go of ``vertices`` where they can be read again in little time."""
+        """Free ``vertices`` if they can be read again quickly."""
 
     def as_stored(self, vertices: Floats) -> Floats:
-        """New positions (n, 3) as the number types of this surface hold them; the very array where
-        that changes none."""
+        """New positions (n, 3) rounded to the number types of this surface; the same array if
+        rounding changes nothing."""
         return vertices
 
     def vertex_property(self, name: str) -> Floats:
-        """A number of each vertex (n,); InputError (``E_PROPERTY``), whose hint lists those that
-        there are, if it has no such one, and UnsupportedError for a format without any."""
+        """A property of the vertices (n,).  InputError (``E_PROPERTY``), with a hint that lists the
+        properties, if it is missing; UnsupportedError for a format without properties."""
         raise NotImplementedError
 
 
 _MAX_CONDITION = 1e6
 _MAX_ENTRY = 1e30
-"""Larger entries of a frame could take float32 positions beyond what can be computed with."""
+"""Larger entries of a frame could make float32 positions too large for computations."""
 
 _IDENTITY = np.eye(4)
 
 PLACEMENT = "placement in the scene"
-"""Among the properties of a scene whose only mesh is denoised in its own frame, while the scene
-turns, scales or shifts it."""
+"""The property of a scene whose only mesh is denoised in its own frame, while the scene rotates,
+scales or shifts it."""
 
 
 def is_usable(frame: Floats) -> bool:
-    """Whether positions can be taken through a frame and back without harm."""
+    """Whether positions can be transformed by a frame and back without loss."""
     try:
         with np.errstate(all="ignore"):
             is_steep = not np.linalg.cond(frame[:3, :3]) < _MAX_CONDITION
@@ -121,20 +121,20 @@ def is_usable(frame: Floats) -> bool:
 
 
 def is_placed(frame: Floats) -> bool:
-    """Whether a frame puts a mesh elsewhere than where its own numbers put it."""
+    """Whether a frame is not the identity."""
     return not np.array_equal(frame, _IDENTITY)
 
 
 def keep_winding(faces: Ints | Longs, frame: Floats) -> Ints | Longs:
-    """Triangles (m, 3) with normals that point to the same side of the surface in a frame: where it
-    mirrors, the corners change their order."""
+    """Triangles (m, 3) whose normals point to the same side of the surface after the frame: if it
+    mirrors, the order of corners is reversed."""
     return faces[:, [0, 2, 1]] if np.linalg.det(frame[:3, :3]) < 0.0 else faces
 
 
 def transform(points: Floats, frame: Floats) -> Floats:
     """Points (n, 3) after a transform; bit for bit the same for the identity.
 
-    Those that are too large for it become infinite.
+    Results that are too large become infinite.
     """
     if not is_placed(frame):
         return points
@@ -148,45 +148,43 @@ _NONE = np.empty(0, dtype=np.int64)
 
 @dataclass(eq=False)
 class Layout:
-    """What a parser makes of a file."""
+    """A file as its parser describes it."""
 
     encoding: str  # encoding, precision: as in ``MeshFile``
     precision: str
-    # arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
-    # ``RecordSlots`` in binary files
+    # arrays of positions (n_i, 3), which concatenated are the vertices; ``RecordSlots`` in binary
+    # files
     positions: tuple[Slots, ...]
-    # (c,) int64, the vertices of all surface polygons, one polygon behind the other
+    # (c,) int64, the vertices of all surface polygons, one polygon after another
     corners: Longs | Ints = field(default_factory=lambda: _NONE)
-    # (p,) int64, how many corners each polygon has, at least 3
+    # (p,) int64, the number of corners of each polygon, at least 3
     sizes: Longs | Ints = field(default_factory=lambda: _NONE)
-    # arrays of normals (g_i, 3); the usual renewal takes one for each vertex
+    # arrays of normals (g_i, 3); by default they have one for each vertex
     normals: tuple[Slots, ...] = ()
-    # for each array of positions, the transform (4, 4) from it to the vertices; empty where they
-    # are the same
+    # for each array of positions, its transform (4, 4) to the vertices; empty if all are identities
     frames: tuple[Floats, ...] = ()
     properties: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
-    held: str = ""  # what the file has but points, for the message where it has no surface
-    # (m, 3) int32, the triangles, where the parser has made them and checked them and the
-    # positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
-    # are triangles
+    held: str = ""  # what the file has besides points, for the message if it has no surface
+    # (m, 3) int32, the triangles, if the parser has made them and checked them and the positions;
+    # then ``corners`` and ``sizes`` are for the codec only, empty if all polygons are triangles
     faces: Ints | None = None
-    # (n, 3), where the parser has read them; the file takes them over
+    # (n, 3), if the parser has read them; the file takes them over
     vertices: Floats | None = None
-    # makes of the old and the new vertices each array of normals (g_i, 3), and says which rows
-    # changed (g_i,); None for the usual way, which knows no ``frames``
+    # computes from the old and the new vertices each array of normals (g_i, 3), and which rows
+    # changed (g_i,); None for the default, which does not support ``frames``
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
 
 
 def require_finite(
     vertices: NDArray[Any], where: Callable[[int], str] = "vertex {}".format
 ) -> None:
-    """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
+    """Raise ContentError (``E_NONFINITE``) if a position (n, 3) is NaN or infinite.
 
-    ``where`` says in words where a vertex is stored.
+    ``where`` gives the place of a vertex as text.
     """
-    # A sum is finite only if all are, and quicker; it may overflow, too.
+    # Fast path: a finite sum proves that all are finite (otherwise it may have overflowed).
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(vertices.sum()):
             return
@@ -199,10 +197,10 @@ def require_finite(
 
 
 def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
-    """Triangles (m, 3) that share each polygon's first corner; a view where all are triangles.
+    """Triangles (m, 3) that share each polygon's first corner; a view if all are triangles.
 
-    ``corners`` (c,) are those of the polygons one behind the other, ``sizes`` (p,) how many each
-    has; a polygon of fewer than three gives none.
+    ``corners`` (c,) are those of the polygons, concatenated, ``sizes`` (p,) their numbers of
+    corners; a polygon with fewer than three gives no triangle.
     """
     if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
         return corners.reshape(-1, 3)
@@ -214,7 +212,7 @@ def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
 
 
 _NORMAL_SLACK = 1e-5
-"""How far the length of a new normal may be from one."""
+"""How much the length of a new normal may differ from one."""
 
 
 class MeshFile(Surface):
@@ -226,13 +224,13 @@ class MeshFile(Surface):
     encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
     precision : ``"float32"``, ``"float64"``, ``"text"`` or ``"integer"``: how positions are stored.
     n_polygons : faces as the file counts them (a quad is one).
-    properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
+    properties : what else is kept unchanged, for reports: ``"vertex.quality float"``,
         ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
-    references : other files that this one names (materials, textures), as written in the file.
-    warnings : what a user should know about this file although it could be read.
+    references : other files that this one refers to (materials, textures), as written in the file.
+    warnings : problems of the file that did not prevent reading it.
     sources : other files that its mesh was read from.
 
-    Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is no
+    Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is not a
     mesh.
     """
 
@@ -240,7 +238,7 @@ class MeshFile(Surface):
 
     def __init__(self, data: Buffer, format: str, layout: Layout) -> None:
         self.format = format
-        # What the layout is about; a format may pack it into the file, which is then ``data``.
+        # The bytes that the layout describes; a format may pack them into the file, ``data``.
         self.data = self._data = data
         self._layout = layout
         self.encoding, self.precision = layout.encoding, layout.precision
@@ -276,7 +274,7 @@ class MeshFile(Surface):
         return self._vertices
 
     def forget_vertices(self) -> None:
-        # A text's are kept with it, others are read again.
+        # A layout of text keeps its values; others are read again.
         self._vertices = None
 
     def vertex_property(self, name: str) -> Floats:
@@ -298,12 +296,12 @@ class MeshFile(Surface):
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None
     ) -> tuple[Buffer, tuple[Companion, ...]]:
-        """``output``, made of ``vertices`` (n, 3), as it is to be at ``path``, None for a stream,
-        and the files that it needs in its folder."""
+        """``output``, made for ``vertices`` (n, 3), in its final form for ``path`` (None for a
+        stream), and the files that it needs in its folder."""
         return output, ()
 
     def polygons(self) -> list[Any] | Ints:
-        """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
+        """The faces of the file, for conversion: an (m, k) array or a list of arrays."""
         corners = self._layout.corners.astype(np.int32, copy=False)
         sizes = self._layout.sizes
         if not len(sizes):
@@ -315,16 +313,16 @@ class MeshFile(Surface):
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with the positions (n, 3) that moved, and their normals, replaced.
 
-        A vertex equal to the stored one keeps its very bytes; with none moved the result is the
-        input byte for byte.  New numbers of a text have as many decimals as their own line or the
-        file usually has, or as 1e-7 of its extent asks for, whichever is more.  Raises ContentError
+        A vertex equal to the stored one keeps its bytes; if none moved, the result is the input,
+        byte for byte.  New numbers in text have as many decimals as their own line or the file
+        usually has, or as 1e-7 of its extent needs, whichever is more.  Raises ContentError
         (``E_RANGE``) for a position that does not fit the file's number type.
         """
         data = self.replaced_data(vertices)
         return self.data if data is self._data else self._pack(data)
 
     def replaced_data(self, vertices: Floats) -> Buffer:
-        """What the layout is about with other positions (n, 3)."""
+        """The bytes that the layout describes, with other positions (n, 3)."""
         changes = self._changes(vertices)
         if not changes:
             return self._data
@@ -333,7 +331,7 @@ class MeshFile(Surface):
         return self._write(changes, vertices)
 
     def _pack(self, data: Buffer) -> Buffer:
-        """The file of other ``data``."""
+        """The file with other ``data``."""
         return data
 
     def _write(self, changes: Sequence[Change], vertices: Floats) -> Buffer:
@@ -370,7 +368,7 @@ class MeshFile(Surface):
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only positions (and normals)
-        replaced, by ``vertices`` up to the rounding that the file's number type asks for."""
+        replaced by ``vertices``, up to the rounding of the file's number type."""
         changes = self._changes(vertices)
         require_finite_result(vertices)
         for slots, values, is_changed in changes:
@@ -379,7 +377,7 @@ class MeshFile(Surface):
         self._compare(as_bytes(output), changes, vertices)
 
     def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
-        """Raise InternalError unless ``result`` is what ``_write`` makes of these changes."""
+        """Raise InternalError unless ``result`` is what ``_write`` makes for these changes."""
         data = as_bytes(self._data)
         if self._is_binary or not changes:
             check_overwritten(data, result, changes)
@@ -392,7 +390,7 @@ class MeshFile(Surface):
         return all(isinstance(slots, RecordSlots) for slots in self._layout.positions)
 
     def _changes(self, vertices: Floats) -> list[Change]:
-        """The arrays that change; none where no vertex moves."""
+        """The arrays that change; empty if no vertex moves."""
         require_shape(vertices, self.vertices)
         is_moved = vertices != self.vertices
         if not is_moved.any():
@@ -422,15 +420,15 @@ class MeshFile(Surface):
             if not slots.whole_rows:
                 is_changed = is_changed & (values != slots.values) & ~np.isnan(slots.values)
             elif isinstance(slots, text_slots.TextSlots):
-                # A number that stays the same keeps its spelling, as -0 does.
+                # An unchanged number keeps its spelling, such as -0.
                 is_changed = is_changed & (values != slots.values)
             changes.append(Change(slots, values, is_changed))
         return changes
 
     def _new_normals(self, vertices: Floats) -> Sequence[tuple[Floats, Flags]]:
-        """What ``Layout.renew_normals`` makes of new vertices (n, 3).
+        """The result of ``Layout.renew_normals`` for new vertices (n, 3).
 
-        Remembered for the last positions, which writing and checking ask for in turn.
+        The last one is cached, because writing and checking need the same.
         """
         key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
         if self._last_normals[0] != key:
@@ -439,7 +437,7 @@ class MeshFile(Surface):
         return self._last_normals[1]
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
-        """New positions of each array, unmoved rows exactly as they are stored."""
+        """New positions for each array; rows that did not move are exactly as stored."""
         layout = self._layout
         if len(layout.positions) == 1 and not layout.frames:
             return [vertices]
@@ -455,8 +453,8 @@ class MeshFile(Surface):
         return result
 
     def _renew_normals(self, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
-        """The normals of each array, those of faces that did not move as they are stored, and
-        which rows changed."""
+        """The normals of each array, as stored for faces that did not move, and which rows
+        changed."""
         from msal_cli.kernels.geometry import regroup_normals
 
         arrays = [slots.values for slots in self._layout.normals]
@@ -475,13 +473,13 @@ def require_shape(vertices: Floats, old: Floats) -> None:
 
 
 def require_finite_result(vertices: Floats) -> None:
-    # Infinity and what is no number show in the sum of the extremes.
+    # The sum of the extremes is not finite if any position is infinite or NaN.
     if not math.isfinite(float(vertices.max()) + float(vertices.min())):
         raise InternalError("a new position is not finite")
 
 
 def require_unit_length(normals: Floats, is_new: Flags) -> None:
-    """Raise InternalError where a new normal (n, 3) is not of length one."""
+    """Raise InternalError if a new normal (n, 3) is not of unit length."""
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt((normals * normals).sum(axis=1))
     is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_new

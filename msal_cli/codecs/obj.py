@@ -1,20 +1,21 @@
 """OBJ files: positions and normals replaced inside the original bytes.
 
-Read are ``v`` (x y z, with w or a colour behind), ``vn`` and ``f`` in every form (v, v/vt, v//vn,
-v/vt/vn, negative numbers, polygons, continued lines; ``fo`` of early versions is the same), with
-blanks or tabs, LF, CR LF or CR.  Everything else is kept without being looked into: texture
+Supported are ``v`` (x y z, followed by w or a colour), ``vn`` and ``f`` in every form (v, v/vt,
+v//vn, v/vt/vn, negative numbers, polygons, continued lines; ``fo`` of early versions is the same),
+with blanks or tabs, LF, CR LF or CR.  Everything else is kept without being parsed: texture
 coordinates, groups, materials, lines, points, curves, surfaces, comments.  Vertices that only
 lines, points or curves use belong to no face and stay where they are.
 
-Where readers differ, this one does what the better ones do:
+Where readers differ:
 
-- keywords are small letters, as in Assimp, Blender, MeshLab and tinyobjloader: ``V`` and ``F`` are
+- keywords are lower case, as in Assimp, Blender, MeshLab and tinyobjloader: ``V`` and ``F`` are
   kept as unknown lines, with a warning, and a file with no others has no faces;
-- a face of one or two corners is kept in the file, left out of the mesh, whatever it names, and
-  warned of (Blender, tinyobjloader); a face that names no vertex at all is an error;
-- a wrong vertex number is an error; a wrong vt or vn number cannot harm positions: a warning;
+- a face of one or two corners is kept in the file, but not part of the mesh, whatever its indices,
+  with a warning (Blender, tinyobjloader); a face without any corner is an error;
+- a wrong vertex number is an error; a wrong vt or vn number, which does not affect positions, is a
+  warning;
 - a position's w is kept and otherwise ignored;
-- a comment is not continued by a backslash at its end.
+- a backslash at the end of a comment does not continue it.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
 _NO_LIMIT = 99
-"""Digits of a normal that a file may ask for."""
+"""No limit on the digits of a normal."""
 
 
 Keywords = Mapping[bytes, tuple[int, int]]
-"""Keywords other than v, vt, vn and f: how often each occurs, and where first.  Of the walk's
-``state``, see ``kernels.obj_scan``, only counts are looked at."""
+"""Keywords other than v, vt, vn and f: how often each occurs, and its first place.  For the walk's
+``state``, see ``kernels.obj_scan``."""
 
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
@@ -85,7 +86,7 @@ _LIBRARY = re.compile(r"\S.*?\.mtl(?=\s|$)|\S.*", re.IGNORECASE)
 _SHOWN = 3
 
 _MIN_PIECE = 1 << 22
-"""Bytes that are worth a thread of their own."""
+"""Bytes that are worth a thread."""
 
 _LOOKED_AT = 4096
 _ZEROS_LOOKED_AT = 1 << 16
@@ -95,8 +96,8 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 def read(data: Buffer) -> MeshFile:
     """Read an OBJ file.
 
-    Raises FormatError (binary data, a word that is no number, a statement that is too short),
-    TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
+    Raises FormatError (binary data, a word that is not a number, a statement that is too short),
+    TruncatedError (empty, or the last line is cut off), ContentError (``E_NONFINITE``,
     ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
     """
     return MeshFile(data, "obj", _Reader(data).read())
@@ -108,7 +109,7 @@ class _Positions(Statements):
 
     @functools.cached_property
     def decimals(self) -> int:
-        """Decimals of new numbers: as many as are usual, or as the extent asks for."""
+        """Decimals of new numbers: the usual ones of the file, or as many as its extent needs."""
         from msal_cli.kernels.numbers import FIXED_BELOW, MAX_DECIMALS
 
         needed = extent_decimals(self.values) or 0
@@ -120,7 +121,7 @@ class _Positions(Statements):
 
 class _Rows(NamedTuple):
     """Statements of three numbers: ``values`` (n, 3) float64, in file units; ``at`` (n,) int64,
-    where each begins; ``decimals`` (n,) uint8, the most decimals of its numbers."""
+    their first bytes; ``decimals`` (n,) uint8, the most decimals of their numbers."""
 
     values: Floats
     at: Longs
@@ -146,12 +147,12 @@ def _enlarge(n_rows: int, *arrays: NDArray[Any]) -> None:
 
 
 def _cut_lines(buf: Bytes) -> list[int]:
-    """Where pieces of a text begin, one for each thread, and its end; all begin with a line."""
+    """The starts of pieces of a text, one per thread, and its end; all are starts of lines."""
     size = len(buf)
     n_pieces = max(min(threads(), size // _MIN_PIECE), 1)
     last_lines = buf[-_LOOKED_AT:].tobytes().splitlines()[1:-1]
     if any(line.startswith(b"f ") and len(line.split()) != 4 for line in last_lines):
-        # One walk reads other polygons, and would do so after all.
+        # Polygons other than triangles are read by a single walk.
         n_pieces = 1
     cuts = [0]
     for piece in range(1, n_pieces):
@@ -165,7 +166,7 @@ def _cut_lines(buf: Bytes) -> list[int]:
 
 
 class _Reader:
-    """The arrays that the walk over ``data`` fills, grown as it asks for it."""
+    """The arrays that the walk over ``data`` fills; they grow if it needs more room."""
 
     def __init__(self, data: Buffer) -> None:
         refuse_binary(data)
@@ -174,12 +175,12 @@ class _Reader:
         size = len(self._buf)
         self._cuts = _cut_lines(self._buf)
         self._counts = self._count_pieces()
-        # At both ends of the text a statement may be missed.
+        # A statement at either end of the text may not be counted.
         n_vertices, n_normals, n_faces, n_zeros = (self._counts.sum(axis=0) + (2, 1, 2, 0)).tolist()
         if n_zeros:
             raise _binary_error(data, next(re.finditer(rb"\0", memoryview(data))).start())
-        # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
-        # whatever the bytes say.
+        # No statement is shorter than "v 0 0 0" and a line end, which limits the counts, whatever
+        # the bytes are.
         most = (size + 1) // 8 + 1
         n_vertices, n_faces = min(n_vertices, most), min(n_faces, most)
         if size > 2**33 or n_vertices >= 2**31:
@@ -206,7 +207,7 @@ class _Reader:
         return state
 
     def _count_pieces(self) -> Longs:
-        """Positions, normals, faces and zeros of each piece, hardly ever more than there are."""
+        """Counts of positions, normals, faces and zeros in each piece, nearly exact."""
         counts = np.zeros((len(self._cuts) - 1, 4), dtype=np.int64)
 
         def count(start: int, stop: int) -> None:
@@ -216,7 +217,7 @@ class _Reader:
                 counts[piece] = np.subtract(scan.count_statements(around), (2, 1, 2, 0))
 
         over_ranges(count, len(counts), smallest=1)
-        # No line end is before the first statement.
+        # The first statement has no line end before it.
         counts[0, 0] += self._buf[:2].tobytes() == b"v "
         return counts
 
@@ -230,9 +231,9 @@ class _Reader:
         state = self._state
         n_vertices, n_faces = int(state[scan.VERTICES]), int(state[scan.FACES])
         n_normals, n_corners = int(state[scan.NORMALS]), int(state[scan.CORNERS])
-        self._decide_numbers()
+        self._resolve_numbers()
         positions, normals = self._positions.first(n_vertices), self._normals.first(n_normals)
-        # A normal that is none is as good as zero, which is kept and compares equal to itself.
+        # NaN normals are treated as zero, which is kept, and compares equal to itself.
         normals.values[~np.isfinite(normals.values).all(axis=1)] = 0.0
         corners, sizes = self._corners[:n_corners], self._sizes[:n_faces]
         if n_corners == 3 * n_faces and bool((sizes == 3).all()):
@@ -273,16 +274,16 @@ class _Reader:
         return layout
 
     def _walk_pieces(self) -> bool:
-        """Read pieces of the text at once, each to where its counts say that its rows are.
+        """Read all pieces of the text in parallel, each into the rows that the counts give it.
 
-        False where a piece has errors, faces that are no triangles, or other counts: then one walk
-        over all reads it.
+        False if a piece has errors, faces that are not triangles, or other counts: then a single
+        walk reads the whole text.
         """
         counts = self._counts[:, :3]
         ends, pieces = np.cumsum(counts, axis=0), range(len(counts))
         room = len(self._positions.at), len(self._normals.at), len(self._sizes)
         if (ends[-1] > room).any():
-            # More are counted than there can be; the walk does not look for a start beyond the end.
+            # More are counted than are possible; the walk does not check starts beyond the end.
             return False
         states = np.zeros((len(counts), scan.N_STATE), dtype=np.int64)
         states[:, scan.AT] = self._cuts[:-1]
@@ -331,7 +332,7 @@ class _Reader:
         return True
 
     def _walk(self, state: Longs, n_faces: int) -> int:
-        """Go on until ``n_faces`` faces are read; what ``scan`` says."""
+        """Continue until ``n_faces`` faces are read; returns the status of ``scan``."""
         polygons = self._corners, self._corner_normals, self._sizes
         others = self._undecided, self._keywords, self._libraries
         outputs = (*self._positions, *self._normals, *polygons, *others)
@@ -350,12 +351,12 @@ class _Reader:
         elif n_faces == len(self._sizes):
             _enlarge(2 * n_faces, self._sizes)
         else:
-            # As many for each face to come as the faces so far have.
+            # Assume as many corners per face as the faces so far have.
             alike = (n_corners // max(n_faces, 1) + 1) * self._n_faces
             room = max(min(alike, len(self._buf) // 2), len(self._corners) * 3 // 2 + 1)
             _enlarge(room, self._corners, *[self._corner_normals] * bool(len(self._corner_normals)))
 
-    def _decide_numbers(self) -> None:
+    def _resolve_numbers(self) -> None:
         view = memoryview(self._data)
         for is_normal, row in self._undecided[: self._state[scan.UNDECIDED_ROWS]].tolist():
             rows = self._normals if is_normal else self._positions
@@ -367,7 +368,7 @@ class _Reader:
                 try:
                     rows.values[row, axis] = float(word[1])
                 except ValueError:
-                    # NaN as old run-time libraries print it has no other form.
+                    # The walk accepts NaN as old run-time libraries print it.
                     rows.values[row, axis] = math.nan
 
     def _place(self, at: int) -> str:
@@ -405,18 +406,18 @@ class _Reader:
         return errors.FormatError(message, where=f"{place}, {next_face}", hint=hint)
 
     def _is_last_line(self, at: int) -> bool:
-        """Whether the file ends, without a line end, in the line of byte ``at``."""
+        """Whether byte ``at`` is in the last line, and that has no line end."""
         rest = bytes(self._buf[at : at + (1 << 16)])
         return at + len(rest) == len(self._buf) and not (b"\n" in rest or b"\r" in rest)
 
     def _require_mesh(
         self, positions: _Rows, corners: Ints, sizes: Ints, keywords: Keywords
     ) -> None:
-        """Raise unless the faces are whole, and of finite positions that are there."""
+        """Raise unless the faces are complete, and their positions exist and are finite."""
         state, n_vertices = self._state, len(positions.at)
         last_short = int(state[scan.LAST_SHORT_AT])
         if state[scan.SHORT] and self._is_last_line(last_short):
-            # A face that lost its last corners and its line end did not lose them on purpose.
+            # A face without its last corners and its line end was cut off.
             raise errors.cut_short(
                 "the last line breaks off: its face has fewer than three corners",
                 self._place(last_short),
@@ -430,13 +431,13 @@ class _Reader:
                 f"the position {tuple(positions.values[bad].tolist())} is not finite",
                 f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
             )
-        # The largest number may be one of a face that is left out.
+        # The largest index may be from a face that is not part of the mesh.
         if state[scan.LARGEST_VERTEX] >= n_vertices and (is_bad := corners >= n_vertices).any():
             corner = int(np.argmax(is_bad))
             face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
             number = int(corners[corner]) + 1
             self._sizes = np.empty(len(sizes), dtype=np.int32)
-            # A second walk that ends behind this face says where it is: no other keeps places.
+            # The places of faces are not stored: a second walk up to this face finds its place.
             again = self._begin()
             self._walk(again, face + 1)
             number_of_face = face + 1 + int(again[scan.SHORT])
@@ -460,9 +461,9 @@ def _name_properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:
 
 
 def _find_references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
-    """The material libraries that ``mtllib`` statements at these bytes name, in order, each once.
+    """The material libraries of ``mtllib`` statements at these bytes, in order, without repeats.
 
-    A name may hold blanks: it ends with ``.mtl``, or with the line.
+    A name may contain blanks: it ends with ``.mtl``, or with the line.
     """
     names: dict[str, None] = {}
     for at in libraries.tolist():
@@ -477,7 +478,7 @@ def _find_references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
 def _describe_warnings(
     state: Longs, keywords: Keywords, line_at: Callable[[int], int]
 ) -> tuple[str, ...]:
-    """What a user should know of a file that could be read; ``line_at`` is the line of a byte."""
+    """Warnings about a file that could be read; ``line_at`` gives the line of a byte."""
     warnings = []
     if state[scan.WEIGHTED]:
         line = line_at(int(state[scan.WEIGHTED_AT]))
@@ -521,13 +522,13 @@ def _describe_warnings(
 
 
 def refuse_binary(data: Buffer) -> None:
-    """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
+    """Raise FormatError if the beginning of ``data`` cannot be the text of an OBJ file."""
     if not len(data):
         raise errors.cut_short("the file is empty")
     head = bytes(memoryview(data)[:_LOOKED_AT])
-    # Old systems end a text with this mark; it is kept as a line that is no statement.
+    # The end-of-file mark of old systems is kept, as a line that is no statement.
     control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
-    # Zeros are looked for farther on: the first pages of a file may be sound.
+    # Zeros are searched for in more of the file, whose first pages may be intact.
     found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
     if found >= 0:
         raise _binary_error(data, found)

@@ -1,14 +1,14 @@
 """OFF files: positions and normals replaced inside the original bytes.
 
-Read are ``OFF`` and its variants with colours, normals and texture coordinates (``COFF``,
+Supported are ``OFF`` and its variants with colours, normals and texture coordinates (``COFF``,
 ``NOFF``, ``STOFF`` and their combinations, also ``NCOFF`` of MeshLab), comments and blank lines
 anywhere, counts on the line of ``OFF`` or below, with or without the number of edges.  Where
 readers differ:
 
-- the word ``OFF`` may be missing in front of a line of three counts;
+- the word ``OFF`` may be missing before a line of three counts;
 - a line is a vertex or a face, as all known programs write them;
-- numbers behind a position that its header does not announce are kept, with a warning;
-- faces of one or two corners are kept and left out of the mesh, with a warning.
+- numbers after a position that the header does not announce are kept, with a warning;
+- faces of one or two corners are kept but not part of the mesh, with a warning.
 """
 
 import re
@@ -50,7 +50,7 @@ def parse(data: Buffer) -> Layout:
         raise UnsupportedError("binary OFF is not read")
     words = Words(data, header.end(), comment=b"#")
     n_vertices, n_faces = words.count(0, "vertices"), words.count(1, "faces")
-    # Counts may stand on one line or on several, and the third may be missing.
+    # Counts may be on one line or on several, and the third may be missing.
     is_vertex = len(words) > 3 and words.lines[1] < words.lines[2] == words.lines[3]
     n_counts = 2 if is_vertex else min(3, len(words))
     at, lengths, n_behind = _find_lines(words, n_counts, n_vertices, n_faces)
@@ -116,8 +116,8 @@ def parse(data: Buffer) -> Layout:
 def _find_lines(
     words: Words, start: int, n_vertices: int, n_faces: int
 ) -> tuple[Longs, Longs, int]:
-    """The first word of each vertex and face from word ``start`` on, how many words it has, and how
-    many lines follow."""
+    """The first word of each vertex and face from word ``start`` on, the number of its words, and
+    the number of lines after them."""
     lines = np.flatnonzero(np.diff(words.lines, prepend=-1))
     lines = lines[lines >= start]
     if len(words) > start and (not len(lines) or lines[0] != start):

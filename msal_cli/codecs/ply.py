@@ -1,15 +1,15 @@
 """PLY files: positions and normals replaced inside the original bytes.
 
-Read are ascii and both binary encodings, any elements and properties in any order, polygons
+Supported are ascii and both binary encodings, any elements and properties in any order, polygons
 (``vertex_indices`` or ``vertex_index`` of ``face``), triangle strips (``tristrips``) and range
-grids (``range_grid``).  Written is a copy of the file in which only ``x y z`` of moved vertices,
+grids (``range_grid``).  An output is a copy of the file in which only ``x y z`` of moved vertices,
 and the normals ``nx ny nz`` of vertices around them, differ.
 
 A range grid, as in the Stanford archive, is a raw scan: a list of no vertex or one for each
 sample, row by row; ``obj_info num_cols`` and ``num_rows`` give its size.  Neighbouring samples are
 joined as by Turk and Levoy ("Zippered polygon meshes from range images", 1994): four make two
 triangles along the shorter diagonal, three make one, and no triangle has an edge longer than four
-times the distance of samples, so that a surface is not joined with what is behind it.
+times the spacing of samples, so that a surface is not joined with what is behind it.
 """
 
 import copy
@@ -44,14 +44,14 @@ MAX_SPACINGS = 4.0
 """Longest edge that joins two samples, in median edge lengths."""
 
 _FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
-"""The triangles of four corners along the diagonal of the first, and of the second corner."""
+"""The two triangles of four corners, along the first and along the second diagonal."""
 
 
 def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
-    """Triangles (m, 3) between neighbours.
+    """Triangles (m, 3) between neighbouring samples.
 
     samples (rows, columns) are vertices, -1 where the scanner saw nothing; vertices (n, 3).
-    Raises ContentError (``E_NO_FACES``) where no three samples are neighbours.
+    Raises ContentError (``E_NO_FACES``) if no three samples are neighbours.
     """
     around = (samples[:-1, :-1], samples[:-1, 1:], samples[1:, 1:], samples[1:, :-1])
     corners = np.stack([part.reshape(-1) for part in around], axis=1)
@@ -62,7 +62,7 @@ def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
     diagonals = _squares(vertices, whole[:, :2], whole[:, 2:])
     is_first = (diagonals[:, 0] < diagonals[:, 1])[:, None, None]
     pairs[n_there == 4] = np.where(is_first, whole[:, _FIRST], whole[:, _SECOND])
-    # From the corner behind the missing one on.
+    # In order, beginning after the missing corner.
     of_three = n_there == 3
     missing = np.argmin(is_there[of_three], axis=1)
     order = (missing[:, None] + np.arange(1, 4)) % 4
@@ -90,20 +90,20 @@ def _squares(vertices: Floats, starts: Ints, stops: Ints) -> Floats:
 
 
 CORNERS = ("vertex_indices", "vertex_index")
-"""Names that a list of corners goes by."""
+"""Names of a list of corners."""
 
 MAX_VERTICES = 2**31 - 1
-"""Vertices that 32-bit indices can tell apart."""
+"""Vertices that 32-bit indices can distinguish."""
 
 
 class Surface(NamedTuple):
-    """Triangles of all faces, in file order, and behind them those of all strips.
+    """Triangles of all faces, in file order, and after them those of all strips.
 
     triangles : (m, 3) int32.
-    corners, sizes : polygons as in ``Layout``, empty where all are triangles.
-    n_polygons : faces, also those with fewer than three corners, and triangles of strips or of a
-        range grid.
-    grid : the samples (rows, columns) of a range grid whose triangles these are, else None.
+    corners, sizes : polygons as in ``Layout``, empty if all are triangles.
+    n_polygons : faces, including those with fewer than three corners, and triangles of strips or of
+        a range grid.
+    grid : the samples (rows, columns) of a range grid with these triangles, else None.
     """
 
     triangles: Ints
@@ -115,9 +115,9 @@ class Surface(NamedTuple):
 
 
 def corner_list(element: ply_header.Element) -> str:
-    """The name of the element's list of corners, empty where it has none.
+    """The name of the element's list of corners, empty if it has none.
 
-    Raises FormatError where the property of that name is no list.
+    Raises FormatError if the property of that name is not a list.
     """
     for name in CORNERS:
         prop = element.find(name)
@@ -134,8 +134,8 @@ def corner_list(element: ply_header.Element) -> str:
 def find_surface(
     sections: Mapping[str, Section], header: ply_header.Header, vertices: Floats
 ) -> Surface:
-    """The surface in the elements ``face`` and ``tristrips``, or between the samples of a range
-    grid where these have no triangles.
+    """The surface of the elements ``face`` and ``tristrips``, or of a range grid if these have no
+    triangles.
 
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not
     a whole number, a range grid of unknown size) and TooLargeError.
@@ -229,8 +229,8 @@ def _read_corners(
 ) -> tuple[Ints, Longs | Ints]:
     """The corners (c,) of an element's lists, and how many each record has (count,).
 
-    Raises ContentError (``E_INDEX``) for one that is no vertex, nor with ``has_ends`` the -1 that
-    ends a strip, FormatError where it is no whole number.
+    Raises ContentError (``E_INDEX``) for a corner that is no vertex (with ``has_ends``, -1 is
+    allowed: it ends a strip), FormatError for one that is not a whole number.
     """
     items, lengths = section.items(name)
 
@@ -244,7 +244,7 @@ def _read_corners(
             record = record_of(int(np.argmin(whole.reshape(-1))))
             raise FormatError("a corner is not a whole number", where=section.where(record))
     corners = _as_indices(items)
-    # Seen as unsigned, a negative index is a very large one.
+    # As unsigned, a negative index is a very large one.
     if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
         is_wrong = (corners.view(np.uint32) >= n_vertices) & ~(has_ends & (corners == -1))
         if is_wrong.any():
@@ -259,7 +259,7 @@ def _read_corners(
 
 
 def _as_indices(items: NDArray[Any]) -> Ints:
-    """Whole numbers as int32 (c,); what does not fit is made an index that no mesh has."""
+    """Whole numbers as int32 (c,); values that do not fit become indices that no mesh has."""
     kind, size = items.dtype.kind, items.dtype.itemsize
     if kind == "f":
         items = np.clip(items.astype(np.float64), -2.0, 2.0**31 - 1.0)
@@ -270,26 +270,26 @@ def _as_indices(items: NDArray[Any]) -> Ints:
             items = np.clip(items, low, high)
     is_plain = size == 4 and kind in "iu" and items.dtype.isnative and items.size > 0
     if is_plain and items.ndim == 2 and items.strides[1] == size:
-        # Record by record, not number by number.  An index beyond int32 becomes a negative one.
+        # Faster by records than by numbers.  An index beyond int32 becomes negative.
         items = np.ascontiguousarray(items.view(f"V{items.shape[1] * size}")).view(np.int32)
     return np.ascontiguousarray(items.astype(np.int32, copy=False)).reshape(-1)
 
 
 def wanted_names(element: ply_header.Element) -> Sequence[str]:
-    """Properties whose places are kept: positions, normals, corners."""
+    """Properties whose places are needed: positions, normals, corners."""
     if element.name == "vertex":
         return ply_header.POSITION + ply_header.NORMAL
     return CORNERS if element.name in ("face", "tristrips", GRID) else ()
 
 
 def has_normals(element: ply_header.Element) -> bool:
-    """Whether the element has nx, ny, nz as floating-point scalars."""
+    """Whether the element has nx, ny and nz as floating-point scalars."""
     found = [element.find(name) for name in ply_header.NORMAL]
     return all(prop is not None and not prop.is_list and prop.code[0] == "f" for prop in found)
 
 
 def vertex_element(header: ply_header.Header) -> ply_header.Element:
-    """The element ``vertex`` with x, y and z as scalars; FormatError without."""
+    """The element ``vertex``; FormatError if it is missing, or lacks the scalars x, y and z."""
     vertex = header.find("vertex")
     if vertex is None:
         raise FormatError(
@@ -314,8 +314,8 @@ def vertex_element(header: ply_header.Header) -> ply_header.Element:
 
 
 def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[str, ...]:
-    """What the file carries besides positions and corners, in file order; ``grid`` (rows, columns)
-    is that of a range grid whose surface is read."""
+    """What the file contains besides positions and corners, in file order; ``grid`` (rows, columns)
+    are the samples of a range grid whose surface is used."""
     carried: list[str] = []
     for element in header.elements:
         if element.name == GRID and grid is not None:
@@ -333,17 +333,17 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
 
 @dataclass(eq=False, kw_only=True)
 class PlyLayout(mesh_file.Layout):
-    """What the parser makes of a PLY file."""
+    """The layout of a PLY file."""
 
     header: ply_header.Header
-    # the elements by name; ``end`` is the byte behind the last one
+    # the elements by name; ``end`` is the byte after the last one
     sections: Mapping[str, Section] = field(repr=False)
     end: int
     surface: Surface
 
 
 def parse(data: Buffer) -> PlyLayout:
-    """Find the positions, normals and faces of a PLY file; errors as of ``PlyFile``."""
+    """Find the positions, normals and faces of a PLY file; raises as ``PlyFile`` does."""
     content = as_bytes(memoryview(data).cast("B"))
     header = ply_header.parse_header(memoryview(data).cast("B"))
     vertex = vertex_element(header)
@@ -351,7 +351,7 @@ def parse(data: Buffer) -> PlyLayout:
     positions = sections["vertex"].slots(ply_header.POSITION)
     vertices = positions.values
     mesh_file.require_finite(vertices, sections["vertex"].where)
-    # Read here, so that a word that is no number is reported before any work is done.
+    # Read now, so that an invalid number is reported before any work is done.
     normals = (sections["vertex"].slots(ply_header.NORMAL),) if has_normals(vertex) else ()
     surface = find_surface(sections, header, vertices)
     rest = content[end:]
@@ -397,15 +397,15 @@ def parse(data: Buffer) -> PlyLayout:
 
 
 class PlyFile(mesh_file.MeshFile):
-    """An opened PLY file; see ``codecs.mesh_file.MeshFile`` for what its attributes mean.
+    """An opened PLY file; see ``codecs.mesh_file.MeshFile`` for its attributes.
 
-    ``precision`` is the type of the coordinates: ``float32`` (also when mixed with double, since
-    the coarsest one limits), ``float64``, ``text`` in ascii, or ``integer``.  Whole-number
-    coordinates are rounded to the nearest whole number, halves to the even one.
+    ``precision`` is the type of the coordinates: ``float32`` (also if some are double: the coarsest
+    type counts), ``float64``, ``text`` in ascii, or ``integer``.  Whole-number coordinates are
+    rounded to the nearest whole number, halves to the even one.
 
-    Raises FormatError (not PLY, or a line, type or value that breaks the format),
-    TruncatedError (fewer bytes or lines than the counts promise), ContentError (``E_NONFINITE``,
-    ``E_INDEX``, ``E_NO_FACES``), UnsupportedError and TooLargeError, each with the place.
+    Raises FormatError (not PLY, or an invalid line, type or value), TruncatedError (fewer bytes or
+    lines than the header counts), ContentError (``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``),
+    UnsupportedError and TooLargeError, each with the place.
     """
 
     _layout: PlyLayout
@@ -416,7 +416,7 @@ class PlyFile(mesh_file.MeshFile):
         self.n_polygons, self.grid = surface.n_polygons, surface.grid
 
     def vertex_scalars(self) -> dict[str, str]:
-        """The scalar properties of the vertices and numpy's codes of their types."""
+        """The scalar properties of the vertices, with the numpy codes of their types."""
         properties = self._layout.sections["vertex"].element.properties
         return {prop.name: prop.code for prop in properties if not prop.is_list}
 
@@ -431,7 +431,7 @@ class PlyFile(mesh_file.MeshFile):
         return sections["vertex"].slots(names).values
 
     def vertex_property(self, name: str) -> Floats:
-        """The scalar property ``name`` of the vertices, (n,); else InputError (``E_PROPERTY``)."""
+        """The scalar property ``name`` of the vertices (n,), or InputError (``E_PROPERTY``)."""
         scalars = self.vertex_scalars()
         if name not in scalars:
             is_list = self._layout.sections["vertex"].element.find(name) is not None
@@ -446,10 +446,10 @@ class PlyFile(mesh_file.MeshFile):
         """The file with new positions (n, 3) in another encoding or with other number types.
 
         ``encoding`` is ``same``, ``ascii`` or ``binary`` (little endian); ``precision`` is
-        ``same``, ``float32`` or ``float64`` and concerns positions and normals.  Every element,
-        property, comment and their order are kept; bytes behind the last element are kept where
-        the encoding stays.  Raises ContentError (``E_RANGE``) where a value does not fit its
-        type, FormatError where an ascii value is not of its declared type.
+        ``same``, ``float32`` or ``float64``, for positions and normals.  All elements, properties
+        and comments are kept, in order; bytes after the last element are kept if the encoding
+        stays.  Raises ContentError (``E_RANGE``) if a value does not fit its type, FormatError if
+        an ascii value is not of its declared type.
         """
         layout = self._layout
         data, old = as_bytes(self._data), layout.header
@@ -464,7 +464,7 @@ class PlyFile(mesh_file.MeshFile):
         codes = tuple(prop.code for prop in vertex_element(header).find_all(ply_header.POSITION))
         require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)
         if header.encoding == old.encoding == "ascii":
-            # New numbers as the new types need them; nothing else of the lines changes.
+            # Format new numbers for the new types; nothing else of the lines changes.
             positions = copy.copy(layout.positions[0])
             positions.codes = codes
             retyped = copy.copy(self)

@@ -1,8 +1,8 @@
-"""Where the values of a PLY file stand, and how they are read and overwritten in place.
+"""The places of values in a PLY file, and how they are read and overwritten in place.
 
-Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
-views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
-or ``Lines`` (ascii).  No section is made before all bytes that its counts promise are there.
+Each element becomes a section: ``Fixed`` (binary records of one size, read through strided views
+without copying), ``Varied`` (binary records whose sizes differ because of their lists) or ``Lines``
+(ascii).  A section is made only if all bytes that its counts need are there.
 """
 
 import functools
@@ -22,21 +22,21 @@ from msal_cli.kernels.parallel import at_once, is_worth_it, threads
 from msal_cli.light_dataclass import dataclass, field
 
 _SAMPLE = 4_096
-"""Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
+"""Bytes after an ascii header that are searched for binary data if a line is wrong."""
 
 ALL_DIGITS = 1_000
-"""Significant digits of which a file has never too many for fixed-point text."""
+"""Significant digits that no file exceeds, so that numbers are written in fixed point."""
 
 Wanted = Callable[[Element], Sequence[str]]
-"""The properties of an element whose places are to be kept where that costs memory."""
+"""The properties of an element whose places are needed, where storing places costs memory."""
 
 MAX_UNUSUAL = 5_000
-"""Records with numbers that are not plain, up to which each line keeps its own decimals."""
+"""Records with unusual numbers, up to which each line keeps its own decimals."""
 
 
 class Places(NamedTuple):
-    """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
-    ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
+    """Words of ascii records: ``starts`` and ``stops`` (count, c) of the properties in ``columns``
+    (for a list, of its count), and ``lengths`` (count, c), their numbers of items."""
 
     columns: dict[str, int]
     starts: Longs
@@ -57,35 +57,35 @@ class Part:
         return f"{self.element.name} {record}"
 
     def can_hold(self) -> bool:
-        """Whether the bytes from ``start`` on can hold the element as text."""
+        """Whether the bytes from ``start`` on are enough for the element as text."""
         # A value is at least one digit and one separator; only the file's last one has none.
         n_values = len(self.element.properties) * self.element.count
         return 2 * n_values <= len(self.data) - self.start + 1
 
     def kept_names(self, wanted: Sequence[str]) -> tuple[str, ...]:
-        """The ``wanted`` properties that the element has, in file order."""
+        """Those of the ``wanted`` properties that the element has, in file order."""
         return tuple(prop.name for prop in self.element.properties if prop.name in wanted)
 
     def codes(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Numpy's types of properties in binary records."""
+        """Numpy's types of the properties in binary records."""
         order = self.header.byte_order
         return tuple(order + prop.code for prop in self.element.find_all(names))
 
 
 @dataclass(frozen=True, eq=False)
 class Lines(Part):
-    """Ascii records, one to a line."""
+    """Ascii records, one per line."""
 
     stop: int
-    kept: tuple[str, ...]  # the properties whose values or words can be asked for, in file order
-    # their values (count, len(kept)) where the records are plain; then the places of words are
-    # found only when they are asked for
+    kept: tuple[str, ...]  # the properties whose values or words are available, in file order
+    # their values (count, len(kept)) if the records are plain; then the places of words are found
+    # only on demand
     scalars: Floats | None = None
-    # for positions and normals, if their three scalars are one behind the other, where the first
-    # token of each record's is (count,), and the most decimals of the three (count,)
+    # for positions and normals, if their three scalars are adjacent, the first byte of the three
+    # in each record (count,), and their most decimals (count,)
     statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = field(default_factory=dict)
-    # of the one list kept, all its items, one record behind another, and the number of each
-    # record's (count,)
+    # for the only list kept, all its items, record by record, and their number in each record
+    # (count,)
     plain_list: tuple[Ints, Ints] | None = None
 
     @functools.cached_property
@@ -109,7 +109,7 @@ class Lines(Part):
         return starts[:, pick].reshape(-1), stops[:, pick].reshape(-1)
 
     def not_a_number(self, start: int, wanted: str) -> FormatError:
-        """The error that the token at byte ``start`` is not what was ``wanted``."""
+        """The error for the token at byte ``start``, which is not what was ``wanted``."""
         token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0]
         return FormatError(
             f"{token.decode('latin-1')!r} in element '{self.element.name}' is not {wanted}",
@@ -118,9 +118,9 @@ class Lines(Part):
         )
 
     def slots(self, names: tuple[str, ...]) -> TextSlots:
-        """Where the scalars of ``names`` are.
+        """The slots of the scalars ``names``.
 
-        Raises FormatError with the line of one that is no number.
+        Raises FormatError, with the line, for one that is not a number.
         """
         from msal_cli.kernels.text import read_numbers
 
@@ -146,7 +146,7 @@ class Lines(Part):
         return slots
 
     def items(self, name: str) -> tuple[NDArray[Any], Longs | Ints]:
-        """All items of a list of whole numbers, and each record's number (count,)."""
+        """All items of a list of whole numbers, and their number in each record (count,)."""
         from msal_cli.kernels.ply_scan import read_integers
 
         if self.plain_list is not None:
@@ -159,7 +159,7 @@ class Lines(Part):
         return items, lengths
 
     def item_spans(self, name: str) -> tuple[Longs, Longs, Longs]:
-        """First bytes and ends of all items of a list, and each record's number (count,)."""
+        """First bytes and ends of all items of a list, and their number in each record (count,)."""
         from msal_cli.kernels.ply_scan import list_tokens
 
         k = self.tokens.columns[name]
@@ -172,8 +172,8 @@ class Lines(Part):
 
 
 def _plain_lines(part: Part, wanted: Sequence[str]) -> Lines | None:
-    """The section of an element whose records are plain and of scalars, or of one list among
-    properties that are not wanted; None for others."""
+    """The section of an element if its records are plain, with scalars only, or one wanted list
+    and unwanted properties; else None."""
     properties = part.element.properties
     if not properties or not part.element.count or not part.can_hold():
         return None
@@ -211,10 +211,10 @@ def _read_scalars(part: Part, kept: tuple[str, ...]) -> Lines | None:
 
 
 def _read_pieces(part: Part, read: Callable[[int, int, int], Any]) -> list[Any]:
-    """What ``read(at, start, stop)`` returns for pieces of the records that are read at once; none
-    where a piece is not whole, or its records are not a line each.
+    """Read pieces of the records in parallel: the results of ``read(at, start, stop)``, or an empty
+    list if a piece is incomplete, or its records do not have a line each.
 
-    The last two numbers that it returns are the end of the records, and ``WHOLE``.
+    The last two numbers of a result are the end of the records, and ``WHOLE``.
     """
     from msal_cli.kernels.ply_scan import WHOLE, next_record, skip_lines
 
@@ -240,13 +240,13 @@ def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
         return None
     is_list = np.array([prop.is_list for prop in element.properties])
     which = element.index(kept[0]) if kept else -1
-    # An item is one digit and one blank at the least.
+    # An item takes at least a digit and a blank.
     most = (len(data) - part.start) // 2 + 1
     items = np.empty(min(3 * element.count, most) if kept else 0, dtype=np.int32)
     lengths = np.empty(element.count if kept else 0, dtype=np.int32)
 
     def read(at: int, start: int, stop: int) -> tuple[int, int, int, int]:
-        """As if all records before were triangles."""
+        """Read records, assuming that all earlier ones are triangles."""
         of = is_list, which, items, 3 * start, lengths
         return cast(tuple[int, int, int, int], read_lists(data, at, start, stop, *of))
 
@@ -260,7 +260,7 @@ def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
         if status == ODD or (status == FULL and len(items) >= most):
             return None
         if status == FULL:
-            # As many for each record to come as those so far have.
+            # Assume as many items per record as those so far have.
             alike = (n_items // max(done, 1) + 1) * element.count
             larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
             larger[:n_items] = items[:n_items]
@@ -325,8 +325,8 @@ def _find_tokens(part: Part, kept: Sequence[str]) -> tuple[Places, int]:
 class Fixed(Part):
     """Binary records of ``stride`` bytes each.
 
-    ``places`` gives, for each property, the byte within the record where its value (of a list:
-    its first item) stands, and the number of items that every record has (1 for a scalar).
+    ``places`` gives, for each property, the byte within the record where its value (for a list:
+    its first item) is, and the number of items in every record (1 for a scalar).
     """
 
     stop: int
@@ -334,7 +334,7 @@ class Fixed(Part):
     places: dict[str, tuple[int, int]]
 
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
-        """The values of a property (count, k), a view, and each record's number (count,)."""
+        """The values of a property (count, k), a view, and their number in each record (count,)."""
         dtype = np.dtype(self.codes([name])[0])
         place, length = self.places[name]
         shape, strides = (self.element.count, length), (self.stride, dtype.itemsize)
@@ -351,8 +351,8 @@ class Fixed(Part):
 
 @dataclass(frozen=True, eq=False)
 class Varied(Part):
-    """Binary records of differing size; ``starts`` (count, c) and ``lengths`` (count, c) say where
-    the values of the properties in ``columns`` begin and how many there are."""
+    """Binary records of different sizes; ``starts`` (count, c) and ``lengths`` (count, c) are the
+    places and the numbers of values of the properties in ``columns``."""
 
     stop: int
     columns: dict[str, int]
@@ -360,7 +360,7 @@ class Varied(Part):
     lengths: Longs
 
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
-        """All values of a property, one record behind another, and each record's number."""
+        """All values of a property, record by record, and their number in each record."""
         from msal_cli.kernels.ply_scan import gather
 
         dtype = np.dtype(self.codes([name])[0])
@@ -381,9 +381,9 @@ Section = Fixed | Varied | Lines
 def find_sections(
     data: Bytes, header: Header, wanted: Wanted, last: str = ""
 ) -> tuple[dict[str, Section], int]:
-    """The sections of all elements by name, and the byte behind the last one.
+    """The sections of all elements by name, and the byte after the last one.
 
-    With ``last``, the search ends behind the element of that name.  Raises TruncatedError and
+    With ``last``, the search ends after the element of that name.  Raises TruncatedError and
     FormatError with the element, record and, in ascii, line.
     """
     is_text = header.encoding == "ascii"
@@ -402,8 +402,8 @@ def find_sections(
 def section_at(part: Part, names: Sequence[str]) -> Section:
     """The section of one element.
 
-    ``names`` are the properties whose places are to be kept where that costs memory.
-    Errors as in ``find_sections``.
+    ``names`` are the properties whose places are needed, where storing places costs memory.
+    Raises as ``find_sections`` does.
     """
     if part.header.encoding != "ascii":
         return _records(part, names)
@@ -425,7 +425,7 @@ def _records(part: Part, wanted: Sequence[str]) -> Section:
         if prop.is_list:
             dtype = np.dtype(order + prop.count_code)
             stored = data[at + stride : at + stride + dtype.itemsize]
-            # Without a first record there is nothing to measure the others by.
+            # Without records there are no lists to measure.
             length = int(stored.view(dtype)[0]) if len(stored) == dtype.itemsize else 0
             if length < 0 or not element.count:
                 length = 0
@@ -455,7 +455,7 @@ def _varied(part: Part, wanted: Sequence[str]) -> Section:
 
     data, element, listed = part.data, part.element, part.element.properties
     least = sum(prop.byte_range()[0] for prop in listed)
-    # When the count cannot be met the walk only finds where, and nothing is allocated for it.
+    # If the bytes are not enough for the count, the walk only finds the place of the error.
     fits = element.count <= (len(data) - part.start) // least
     names = part.kept_names(wanted) if fits else ()
     columns = {name: k for k, name in enumerate(names)}

@@ -1,7 +1,7 @@
-"""The header of a PLY file: what it declares, and how it reads after a change of number types.
+"""The header of a PLY file: parsing, and changing its number types.
 
-The header is plain text up to the line ``end_header``, whatever follows.  Its lines end in LF,
-CR LF or CR; the first line shows which.
+The header is text up to the line ``end_header``, whatever follows.  Its lines end in LF, CR LF or
+CR, as the first line does.
 """
 
 import re
@@ -15,7 +15,7 @@ POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 
 MAX_BYTES = 65_536
-"""Longest header that is read; a file without an end to its header is not searched further."""
+"""Longest header that is read; its end is not searched for beyond this."""
 
 MAX_LINES = 1_000
 """Most lines of a header; real ones have a few dozen."""
@@ -33,16 +33,16 @@ _SPELLINGS = {
     "f8": ("double", "float64"),
 }
 TYPES = {name: code for code, names in _SPELLINGS.items() for name in names}
-"""Number types as files spell them, and their numpy codes; the 64-bit integers are an extension."""
+"""Number types in files, and their numpy codes; the 64-bit integers are an extension."""
 
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 
 @dataclass(frozen=True)
 class Property:
-    """One ``property`` line: a scalar, or a list when ``count_type`` is not empty.
+    """One ``property`` line: a scalar, or a list if ``count_type`` is not empty.
 
-    ``type`` and ``count_type`` are spelt as in the file; ``line`` counts header lines from 0.
+    ``type`` and ``count_type`` are spelt as in the file; ``line`` is the header line, from 0.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Property:
         return bool(self.count_type)
 
     def byte_range(self) -> tuple[int, int]:
-        """Bytes in a binary record at the least, which is a list's count, and at the most."""
+        """The least and the most bytes in a binary record; the least of a list is its count."""
         size = int(self.code[1])
         if not self.is_list:
             return size, size
@@ -80,7 +80,7 @@ class Property:
 
 @dataclass()
 class Element:
-    """One ``element`` line with its properties; ``count`` is what the file claims."""
+    """One ``element`` line with its properties; ``count`` is the count in the header."""
 
     name: str
     count: int
@@ -93,7 +93,7 @@ class Element:
         return next(k for k, prop in enumerate(self.properties) if prop.name == name)
 
     def find_all(self, names: Sequence[str]) -> list[Property]:
-        """The properties of these names, which all must be there."""
+        """The properties with these names, which must exist."""
         return [self.properties[self.index(name)] for name in names]
 
 
@@ -103,20 +103,20 @@ class Header:
 
     size: int  # bytes up to and including the line end of ``end_header``
     newline: bytes  # the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``
-    encoding: str = ""  # one of ``ENCODINGS``, which line ``format_line`` (from 0) states
+    encoding: str = ""  # one of ``ENCODINGS``, from the line ``format_line`` (from 0)
     format_line: int = -1
     elements: list[Element] = field(default_factory=list)  # in file order
-    # files named by ``comment TextureFile``, as written
+    # files in ``comment TextureFile`` lines, as written
     textures: list[str] = field(default_factory=list)
-    # words behind ``obj_info``, by the first of them
+    # values of ``obj_info`` lines of two words, by the first word
     infos: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str) -> Element | None:
         return next((element for element in self.elements if element.name == name), None)
 
     def byte_range(self) -> tuple[int, int | None]:
-        """Bytes that a file with this header has at the least, its lists being empty, and at the
-        most, nothing being behind its elements; None for a text, whose words have any length."""
+        """The least bytes of a file with this header, all lists being empty, and the most, nothing
+        following its elements; None for a text, whose words can have any length."""
         records = [
             (element.count, prop) for element in self.elements for prop in element.properties
         ]
@@ -129,7 +129,7 @@ class Header:
 
     @property
     def byte_order(self) -> str:
-        """Numpy's sign for the byte order of the data; little for ascii, which has none."""
+        """Numpy's sign for the byte order of the data; little-endian for ascii."""
         return ">" if self.encoding == "binary_big_endian" else "<"
 
 
@@ -146,7 +146,7 @@ def _show(text: bytes) -> str:
 
 
 def _first_line_end(head: bytes) -> bytes:
-    """The line end after the magic word; FormatError where the file is not PLY at all."""
+    """The line end after the magic word; FormatError if the file is not PLY."""
     match = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if match:
         return match.group(1)
@@ -162,9 +162,9 @@ def _first_line_end(head: bytes) -> bytes:
 
 
 def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
-    """The header's lines without their ends, ``end_header`` last, and the header's size.
+    """The header's lines without their ends, up to ``end_header``, and the header's size.
 
-    ``whole`` says that ``head`` is the complete file, so that a missing end is a truncation.
+    ``whole`` means that ``head`` is the complete file, so that a missing end is a truncation.
     """
     ending = b"\r" if newline == b"\r" else b"\n"
     lines: list[bytes] = []
@@ -188,7 +188,7 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
 
 
 def _read_line(header: Header, number: int, text: bytes) -> None:
-    """Add what line ``number`` (from 0) declares to a header; FormatError with the line."""
+    """Add the declaration in line ``number`` (from 0) to a header; FormatError with the line."""
 
     def fail(message: str, hint: str = "") -> errors.FormatError:
         return errors.FormatError(message, where=f"line {number + 1}", hint=hint)
@@ -219,7 +219,7 @@ def _read_line(header: Header, number: int, text: bytes) -> None:
                 "'format binary_big_endian 1.0'",
             )
         case [b"element", word, count]:
-            # Twenty digits hold every count a file could have; more would only burn time in int().
+            # Twenty digits are enough for any count; more would only take time in int().
             if not count.isdigit() or len(count) > 20:
                 raise fail(
                     f"the count {_show(count)} of element {_show(word)} is not a whole number from "
@@ -258,11 +258,11 @@ def _read_line(header: Header, number: int, text: bytes) -> None:
 
 
 def parse_header(data: memoryview, is_whole: bool = True) -> Header:
-    """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
+    """The header of the PLY file ``data`` (bytes), or of a part of it if not ``is_whole``.
 
-    Raises FormatError (not PLY, or a line that is damaged, with its number), UnsupportedError
-    (another version), TruncatedError (the file ends within the header) and TooLargeError (no end
-    within ``MAX_BYTES`` bytes or ``MAX_LINES`` lines).
+    Raises FormatError (not PLY, or an invalid line, with its number), UnsupportedError (another
+    version), TruncatedError (the file ends within the header) and TooLargeError (no end within
+    ``MAX_BYTES`` bytes or ``MAX_LINES`` lines).
     """
     head = bytes(data[:MAX_BYTES])
     newline = _first_line_end(head)
@@ -286,16 +286,16 @@ _CODE_OF = {"float32": "f4", "float64": "f8"}
 def retype_header(
     header: Header, text: bytes, encoding: str, precision: str, numbers: Sequence[Property]
 ) -> bytes:
-    """The header's bytes with another encoding and other types of numbers.
+    """The header's bytes with another encoding and other number types.
 
     Parameters
     ----------
-    text : the header as it stands in the file.
+    text : the header's bytes in the file.
     encoding : ``same``, ``ascii`` or ``binary`` (little endian).
-    precision : ``same``, ``float32`` or ``float64``, of the scalars ``numbers``.
+    precision : ``same``, ``float32`` or ``float64``, for the scalars ``numbers``.
 
-    Everything else, spacing included, is kept, and a type keeps its family of spelling
-    (``double`` for ``float``, ``float64`` for ``float32``).
+    Everything else is kept, spacing included, and types keep their style of names (``double`` for
+    ``float``, ``float64`` for ``float32``).
     """
     second_words = {header.format_line: _ENCODING_OF.get(encoding, header.encoding)}
     for prop in numbers:

@@ -1,7 +1,7 @@
-"""PLY files written: in another encoding or with other types of numbers, and new ones of a mesh.
+"""Writing PLY files: with another encoding or other number types, and new ones of a mesh.
 
-Of a file that is re-encoded every element, property and comment is kept, in its order; of the
-header only the format line and the types of ``x y z nx ny nz`` change.
+A re-encoded file keeps every element, property and comment, in order; in its header only the format
+line and the types of ``x y z nx ny nz`` change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,12 +19,12 @@ from msal_cli.errors import ContentError
 from msal_cli.storage.regular import Buffer
 
 _CHUNK = 65_536
-"""Records turned into text at a time."""
+"""Records converted to text at a time."""
 
 
 class Numbers(NamedTuple):
-    """What the records of an element hold at one place, in native byte order: all ``values`` one
-    record behind another, and how many each record has (count,); None for one each."""
+    """The ``values`` of one property in all records, in native byte order, record by record, and
+    their number in each record (count,); None for one each."""
 
     values: NDArray[Any]
     lengths: Longs | None = None
@@ -33,13 +33,13 @@ class Numbers(NamedTuple):
 def recode(
     data: Bytes, old: Header, new: Header, text: bytes, values: Mapping[str, Floats], end: int
 ) -> bytearray:
-    """A file in another encoding or with other types of numbers.
+    """A file with another encoding or other number types.
 
     Parameters
     ----------
-    data, old : the file and its header; ``end`` is the byte behind its last element.
-    new, text : the new header, of the same elements, and its bytes.
-    values : numbers (n,) of the vertices in place of the file's, by their properties.
+    data, old : the file and its header; ``end`` is the byte after its last element.
+    new, text : the new header, with the same elements, and its bytes.
+    values : new numbers (n,) of the vertices, by their properties.
     """
     output = bytearray(text)
     keeps_encoding = new.encoding == old.encoding
@@ -69,11 +69,10 @@ def recode(
 
 
 def _read_numbers(section: Section, prop: Property, values: Floats | None) -> Numbers:
-    """The numbers of a property in its new type; ``values`` (count,) take the place of the
-    file's.
+    """The numbers of a property in its new type; ``values`` (count,) replace those of the file.
 
-    Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for a number that
-    the type cannot hold.
+    Raises FormatError for a token that is not a number, ContentError (``E_RANGE``) for a number
+    that does not fit the type.
     """
     dtype = np.dtype(prop.code)
     given: NDArray[Any]
@@ -109,7 +108,7 @@ def _require_all(
 
 
 def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Numbers:
-    """A property of an ascii element: whole numbers of ``dtype``, others as float64."""
+    """A property of an ascii element: whole numbers as ``dtype``, others as float64."""
     from msal_cli.kernels.text import read_numbers
 
     lengths: Longs | None = None
@@ -125,7 +124,7 @@ def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Number
         return Numbers(values, lengths)
     limits = np.iinfo(dtype)
     fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
-    # Beyond this a double does not tell whole numbers apart.
+    # From here on a double cannot distinguish whole numbers.
     fits &= np.abs(values) < 2.0**53
     _require_all(fits, section, prop, lengths)
     return Numbers(values.astype(dtype), lengths)
@@ -167,14 +166,14 @@ def _append_text(output: bytearray, columns: Sequence[Numbers], count: int, newl
 
 
 def _lines_of(columns: Sequence[tuple[NDArray[Any], Longs]], newline: bytes) -> Bytes:
-    """The lines of records as one text; a column is all its values and how many each record
-    has (count,)."""
+    """The lines of records as one text; a column is all its values and their number in each
+    record (count,)."""
     from msal_cli.kernels.ply_scan import gather
 
     per_record = sum(lengths for _, lengths in columns)
     ends = np.cumsum(per_record)
     slot = ends - per_record
-    # Tokens and the separators behind them alternate; the texts of both lie in one buffer.
+    # Tokens alternate with the separators after them; the texts of both are in one buffer.
     starts = np.zeros(2 * int(ends[-1]), dtype=np.int64)
     sizes = np.ones_like(starts)
     texts = [np.frombuffer(b" " + newline, dtype=np.uint8)]
@@ -200,8 +199,8 @@ def _as_float64(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
-    """The texts of numbers one behind another and the end of each: whole numbers plain, others
-    as the shortest text that reads back as the same value of their type."""
+    """The texts of numbers, concatenated, and the end of each: whole numbers plain, others as the
+    shortest text that is read as the same value of their type."""
     from msal_cli.kernels.text import print_numbers, print_shortest
 
     if values.dtype.kind == "f":
@@ -214,7 +213,7 @@ def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
 
 
 VertexColumn = tuple[str, str, NDArray[Any]]
-"""The name of a property, its type in numpy's words, and a number (n,) for each vertex."""
+"""The name of a property, its numpy type, and a number (n,) for each vertex."""
 
 _TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
 
@@ -222,8 +221,8 @@ _TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
 def write_ply(
     columns: Sequence[VertexColumn], corners: Longs, sizes: Longs, comments: Sequence[str] = ()
 ) -> bytes:
-    """A file of vertices with these ``columns``, and polygons of ``sizes`` (p,) with ``corners``
-    (c,) one behind the other.  Comments are printable ASCII."""
+    """A file of vertices with these ``columns``, and polygons with ``sizes`` (p,) and concatenated
+    ``corners`` (c,).  Comments must be printable ASCII."""
     rows = np.empty(len(columns[0][2]), dtype=[(name, code) for name, code, _ in columns])
     for name, _, values in columns:
         rows[name] = values
@@ -240,7 +239,7 @@ def write_ply(
 
 
 def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
-    """The corners (c,) of polygons one behind the other, and how many each has (p,)."""
+    """The corners (c,) of polygons, concatenated, and the number of each polygon's (p,)."""
     if isinstance(polygons, np.ndarray):
         sizes = np.full(len(polygons), polygons.shape[1], dtype=np.int64)
         return polygons.reshape(-1).astype(np.int64), sizes
@@ -258,15 +257,15 @@ def with_fields(
     colours: NDArray[np.uint8] | None = None,
     comments: Sequence[str] = (),
 ) -> Buffer:
-    """A binary PLY of the mesh with numbers, and colours, at its vertices.
+    """A binary PLY of the mesh with fields, and colours, at its vertices.
 
     Parameters
     ----------
-    mesh_file : the file whose polygons, and whose precision of positions, are taken.
+    mesh_file : the file with the polygons and the precision of positions.
     vertices : (n, 3) positions in file order, file units.
-    fields : (n,) numbers by the name of their property; stored as ``float``.
-    colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for none.
-    comments : lines of the header; what is no printable ASCII in them is escaped.
+    fields : numbers (n,) by the names of their properties; stored as ``float``.
+    colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for no colours.
+    comments : lines of the header; characters that are not printable ASCII are escaped.
     """
     from msal_cli.codecs.slots import as_float32
 
@@ -277,7 +276,7 @@ def with_fields(
     if colours is not None:
         columns += [(name, "u1", colours[:, k]) for k, name in enumerate(("red", "green", "blue"))]
     for name, values in fields.items():
-        # What is too large for the type becomes infinite, which readers know.
+        # Values that are too large for the type become infinite, which readers accept.
         with np.errstate(over="ignore"):
             columns.append((name, "<f4", values.astype(np.float32)))
     is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)

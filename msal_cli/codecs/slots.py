@@ -1,6 +1,6 @@
-"""Where a file stores an array of numbers, and binary records, overwritten in place.
+"""The places of an array of numbers in a file, and binary records that are overwritten in place.
 
-An array of shape (n, k) lies in records, whose numbers keep their places, or in a text (see
+An array of shape (n, k) is in binary records, whose numbers keep their places, or in text (see
 ``text_slots``).
 """
 
@@ -21,14 +21,14 @@ from msal_cli.light_dataclass import dataclass
 class Slots:
     """An array (n, k) inside a file."""
 
-    values: Floats  # (n, k) float64, exactly what is stored
-    # numpy's type of each column where it limits what a number can be, empty where none does
+    values: Floats  # (n, k) float64, exactly as stored
+    # numpy's type of each column if it limits the numbers; empty if none does
     codes: tuple[str, ...] = ()
-    whole_rows: bool = False  # where one number of a row changes, all of them are written anew
+    whole_rows: bool = False  # if one number of a row changes, all of them are rewritten
 
     def rounded(self, values: Floats) -> Floats:
-        """New values (n, k) as the types of the columns hold them, in their range; the very array
-        where that changes none."""
+        """New values (n, k) rounded to the types of the columns; the same array if rounding changes
+        nothing."""
         if len(set(self.codes)) == 1:
             return _round_to(values, self.codes[0])
         columns = zip(values.T, self.codes, strict=True)
@@ -36,10 +36,10 @@ class Slots:
 
 
 def to_type(values: Floats, code: str) -> NDArray[np.generic]:
-    """Values (n, k) as a file of that number type stores them: rounded to the nearest.
+    """Values (n, k) converted to a file's number type, rounded to the nearest.
 
-    A half goes to the even neighbour.  A value beyond the type's range becomes infinite (float)
-    or is wrapped (integer): ``require_range`` refuses it.
+    A half is rounded to the even neighbour.  A value beyond the type's range becomes infinite
+    (float) or wraps around (integer): ``require_range`` refuses it.
     """
     dtype = np.dtype(code)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -47,7 +47,7 @@ def to_type(values: Floats, code: str) -> NDArray[np.generic]:
 
 
 def _round_to(values: Floats, code: str) -> Floats:
-    """Values as ``to_type`` rounds them, those beyond the range of a whole number as they are."""
+    """Values rounded as by ``to_type``; those beyond the range of an integer do not wrap around."""
     dtype = np.dtype(code)
     if dtype.kind != "f":
         return np.rint(values)
@@ -70,10 +70,10 @@ def as_float32(positions: Floats) -> NDArray[np.float32]:
 
 
 def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> None:
-    """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type;
-    ``codes`` are numpy's types of the columns."""
+    """Raise ContentError (``E_RANGE``) if a changed number (n, k) does not fit its type; ``codes``
+    are numpy's types of the columns."""
     dtypes = [np.dtype(code) for code in codes]
-    # Where all fit, two numbers say so; NaN does not.
+    # Fast path for floats: the extremes are enough; NaN fails the comparison.
     largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
     if all(dtype.kind == "f" and largest <= float(np.finfo(dtype).max) for dtype in dtypes):
         return
@@ -97,42 +97,42 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> No
 
 
 _RECORDS = 1 << 14
-"""Records that are worked on at a time, so that they stay in the cache."""
+"""Records processed at a time, so that they stay in the cache."""
 
 _PARTS = 8
-"""Parts of an array that are worth a thread of their own."""
+"""Parts of an array that are worth a thread."""
 
 _CHUNK = 1 << 20
-"""Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
+"""Bytes compared at a time, so that no temporary is as large as the file."""
 
 
 class RecordSlots(Slots):
-    """An array whose numbers have a place and a size of their own in binary data.
+    """An array in binary data, whose numbers have fixed places and sizes.
 
-    ``write`` stores values (n, k) where a mask (n, k) says so, and ``restore`` the file's own
-    bytes: 64-bit whole numbers need not fit a double.  Both get bytes from ``origin`` of the file
-    on.
+    ``write`` stores values (n, k) where a mask (n, k) is set, and ``restore`` the file's own bytes,
+    because 64-bit whole numbers need not fit a double.  Both work on bytes that begin at ``origin``
+    of the file.
 
     Attributes
     ----------
     data : (size,) uint8, the file.
-    codes : numpy's type of each column, byte order included.
-    span : the first byte of the records, and the end of the last one.
+    codes : numpy's type of each column, with byte order.
+    span : the first byte of the first record, and the end of the last one.
     """
 
     data: Bytes
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
-        """The numbers (n, k) that ``data``, from byte ``origin`` of the file on, holds."""
+        """The numbers (n, k) in ``data``, which begins at byte ``origin`` of the file."""
         raise NotImplementedError
 
     def parts(self) -> Iterator[tuple[RecordSlots, slice]]:
-        """Arrays of some records each that make up this one, and which rows they have."""
+        """Arrays of some of the records that together make up this one, and their rows."""
         yield self, slice(None)
 
     @property
     def values(self) -> Floats:  # type: ignore[override]
-        """The numbers (n, k), read anew each time: it takes as long as a copy."""
+        """The numbers (n, k), read each time: that takes as long as a copy."""
         return self.read(self.data)
 
 
@@ -156,8 +156,8 @@ class Strided(RecordSlots):
         return self.start, self.start + self.count * self.stride
 
     def _views(self, data: Bytes, origin: int) -> Iterator[tuple[slice, NDArray[np.generic]]]:
-        """Columns and the views (n, k) of them in ``data``: all in one where the records hold
-        nothing else, which is much quicker."""
+        """Columns and views (n, k) of them in ``data``; a single view, which is much faster, if the
+        records contain nothing else."""
         if not self.count:
             return
         dtypes = [np.dtype(code) for code in self.codes]
@@ -172,7 +172,7 @@ class Strided(RecordSlots):
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         values = np.empty((self.count, len(self.codes)))
-        # A signalling NaN is reported elsewhere, as what it is.
+        # A signalling NaN, which is reported elsewhere, must not cause a warning here.
         with np.errstate(invalid="ignore"):
             for columns, view in self._views(data, origin):
                 values[:, columns] = view
@@ -197,7 +197,7 @@ class Strided(RecordSlots):
 
 @dataclass(eq=False)
 class Scattered(RecordSlots):
-    """Columns of records that differ in size; ``at`` are the first bytes (n,) of each column."""
+    """Columns of records of different sizes; ``at`` has the first bytes (n,) of each column."""
 
     data: Bytes
     at: tuple[Longs, ...]
@@ -243,7 +243,7 @@ class Change(NamedTuple):
     is_changed: Flags
 
     def parts(self) -> list[Change]:
-        """The same of records in parts that fit a cache."""
+        """The change in parts of some records each, which fit the cache."""
         return [
             Change(slots, self.values[rows], self.is_changed[rows])
             for slots, rows in self.slots.parts()
@@ -251,10 +251,10 @@ class Change(NamedTuple):
 
 
 def overwrite(data: Bytes, changes: Sequence[Change]) -> memoryview:
-    """A copy of the file with its records' new numbers."""
+    """A copy of the file with the new numbers in its records."""
     from msal_cli.kernels.parallel import over_ranges
 
-    # An array of numpy's comes in large pages, where the system has such.
+    # A numpy array is in large pages, if the system has them.
     copy = data.copy()
 
     def write(start: int, stop: int) -> None:
@@ -268,7 +268,7 @@ def overwrite(data: Bytes, changes: Sequence[Change]) -> memoryview:
 
 
 def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Change]) -> None:
-    """Raise InternalError unless ``result`` is ``data`` with just these numbers changed."""
+    """Raise InternalError unless ``result`` is ``data`` with only these numbers changed."""
     from msal_cli.kernels.parallel import over_ranges
 
     def require_same(start: int, stop: int, after: Bytes) -> None:
@@ -301,7 +301,7 @@ def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Change]) -> 
 
 
 def _overlapping(changes: Sequence[Change]) -> Iterator[list[Change]]:
-    """The changes in order, those together whose records hold more than one of the arrays."""
+    """The changes in order, grouped if their arrays are in the same records."""
     group: list[Change] = []
     for change in sorted(changes, key=lambda change: change.slots.span):
         if group and change.slots.span[0] >= _span(group)[1]:
@@ -331,5 +331,5 @@ def is_same(a: Bytes, b: Bytes) -> bool:
 
 
 def number_within(sizes: Longs) -> Longs:
-    """0, 1, 2 ... (sum of sizes,) within each of the groups of these sizes (n,)."""
+    """0, 1, 2 ... within each group; ``sizes`` (n,) are those of the groups, the result (sum,)."""
     return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)

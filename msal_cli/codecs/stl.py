@@ -1,8 +1,8 @@
-"""STL, binary and ascii: positions and normals replaced in the file's own bytes.
+"""STL, binary and ascii: positions and normals replaced inside the original bytes.
 
 A binary file is 80 bytes of free text, a count, and for each facet 50 bytes: normal and three
 corners as little-endian float32, and one 16-bit word that some programs use for colours.
-Keywords may be in any case and apart by any white space; a solid's name is the rest of its line.
+Keywords may be in any case, separated by any white space; a solid's name is the rest of its line.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_FACETS = (2**31 - 1) // 3
 """Facets whose corners can be numbered with 32 bits."""
 
 MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
-"""Bytes of text that a facet takes at least."""
+"""Least bytes of text for a facet."""
 
 _USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
@@ -45,7 +45,7 @@ _NAMED_SOLID = re.compile(
 )
 _WORD = re.compile(rb"\S+")
 _FINER = 2
-"""Decimals that those of tiny numbers with an exponent may be beyond what the extent needs."""
+"""Decimals beyond those that the extent needs, for tiny numbers with an exponent."""
 
 
 def read(data: Buffer) -> StlFile | StlTextFile:
@@ -100,8 +100,8 @@ def require_bytes(head: bytes, size: int) -> int:
 def is_text(head: bytes, size: int) -> bool:
     """Whether a file of ``size`` bytes is text, judged by the first kilobyte of ``head``.
 
-    A few bytes of padding at the end do not count, nor do control characters in the name of a solid
-    that begins with a facet in words; a header filled with zeros is not text.
+    A few bytes of padding at the end are ignored, and so are control characters in the name of a
+    solid if a facet in words follows; a header filled with zeros is not text.
     """
     head = head[:_LOOKED_AT]
     shown = head[:-_PADDING] + head[-_PADDING:].rstrip(b"\0\x1a")
@@ -129,7 +129,7 @@ def _not_finite(facet: int, corner: int, line: int | None = None) -> errors.Cont
 
 
 def _facets(data: Buffer, count: int) -> NDArray[np.void]:
-    # One kind of array, whatever the buffer.
+    # A read-only view gives the same type of array for every buffer.
     fixed = memoryview(data).toreadonly()
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
@@ -137,8 +137,8 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
 class _FacetFile(mesh_file.MeshFile):
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
-    ``vertices`` are the different positions of corners, in order of appearance; ``name`` is what
-    the file calls its mesh, ``normals`` (m, 3) are those of its facets, as they are stored.
+    ``vertices`` are the distinct positions of corners, in order of appearance; ``name`` is the name
+    of the mesh in the file, ``normals`` (m, 3) are those of its facets as stored.
     """
 
     normals: Floats
@@ -149,12 +149,12 @@ class _FacetFile(mesh_file.MeshFile):
         self.merged_vertices = self.faces.size - len(self.vertices)
 
     def forget_vertices(self) -> None:
-        """Do nothing: to read them again takes long."""
+        """Do nothing: reading them again takes long."""
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
+        """The file with ``vertices`` (n, 3) in an ``encoding`` (same, ascii, binary).
 
-        Raises UnsupportedError for a binary file of float64, which STL does not have.
+        Raises UnsupportedError for binary float64, which STL lacks.
         """
         was_text = self.encoding == "ascii"
         to_text = was_text if encoding == "same" else encoding == "ascii"
@@ -181,12 +181,12 @@ class _FacetFile(mesh_file.MeshFile):
 
 
 class StlFile(_FacetFile):
-    """A binary STL file, ``n_trailing`` bytes behind its last facet."""
+    """A binary STL file with ``n_trailing`` bytes after its last facet."""
 
     def __init__(self, data: Buffer, vertices: Floats, faces: Ints, n_trailing: int) -> None:
         header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
         facets = _facets(data, len(faces))
-        # Neither zero nor minus zero; most files tell in the first part.
+        # Whether any normal is not zero, nor minus zero; in most files the first part shows it.
         parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
         is_there = {
             "facet normals": any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts),
@@ -242,7 +242,7 @@ class StlFile(_FacetFile):
                 last = min(first + _AT_ONCE, stop)
                 ends = (_FIRST_FACET + FACET.itemsize * (begin + at) for at in (first, last))
                 part = slice(*ends)
-                # Just copied, the bytes are near when they are changed.
+                # Copied just before they are changed, so that the bytes are in the cache.
                 output[part] = before[part]
                 replace_facets(first, last, *mesh, normals[begin:], corners[begin:], none)
 
@@ -251,9 +251,10 @@ class StlFile(_FacetFile):
         return output.data
 
     def _parts(self, vertices: Floats) -> Iterator[tuple[int, Floats, Floats, Ints]]:
-        """Of all facets in parts the first, the vertices before and after, and the corners.
+        """All facets in parts: the first facet, the vertices before and after, and the corners.
 
-        It is one part, but where vertices are anywhere in files: they are read block by block.
+        There is one part, unless arrays are in files and vertices in random order there: then they
+        are read block by block.
         """
         from msal_cli.kernels import array_files, spatial_order
 
@@ -262,7 +263,7 @@ class StlFile(_FacetFile):
             return
         facets = _facets(self._data, self.n_polygons)
         for first, last in spatial_order.blocks(self.n_polygons, 2 * 9 * vertices.itemsize):
-            # The sum makes a plain zero of a negative one.
+            # Adding 0.0 makes -0.0 a plain zero.
             old = facets["corners"][first:last].astype(np.float64).reshape(-1, 3) + 0.0
             new = spatial_order.gather_rows(vertices, self.faces[first:last].reshape(-1))
             yield first, old, new, np.arange(len(old), dtype=np.int32).reshape(-1, 3)
@@ -300,8 +301,9 @@ class StlFile(_FacetFile):
                 raise errors.InternalError(messages[status], where=f"facet {facet}")
 
 
-def _decide_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
-    """Read numbers (m, 12) that are in doubt; raises for a position that is not finite."""
+def _resolve_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
+    """Read the numbers (m, 12) that the scan left open; ContentError for a position that is not
+    finite."""
     view = memoryview(data).cast("B")
     is_doubtful = ~np.isfinite(numbers)
     is_doubtful[:, :3] = np.isinf(numbers[:, :3])
@@ -351,14 +353,14 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> erro
 
 
 class StlTextFile(_FacetFile):
-    """An ascii STL file: the runs of its facets are as ``kernels.stl_facets.scan`` finds them."""
+    """An ascii STL file; its runs are those of ``kernels.stl_facets.scan``."""
 
     def __init__(self, data: Buffer) -> None:
         from msal_cli.kernels import stl_facets
         from msal_cli.kernels.welding import weld_corners
 
         buf = as_bytes(data)
-        # Some editors end a text with a NUL, or with the end-of-file mark of old systems.
+        # Some editors end a text with NUL bytes, or with the end-of-file mark of old systems.
         tail = bytes(buf[-4096:])
         n_trailing = len(tail) - len(tail.rstrip(b"\0\x1a"))
         buf = buf[: len(buf) - n_trailing]
@@ -381,7 +383,7 @@ class StlTextFile(_FacetFile):
         if status != stl_facets.WHOLE:
             raise _scan_error(buf, int(status), int(at), int(word), n_facets)
         _check_count(n_facets)
-        _decide_numbers(data, run_at, numbers)
+        _resolve_numbers(data, run_at, numbers)
         n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
         lines = (bytes(buf[at : at + 256]).splitlines() for at in solid_at[:n_solids])
         names = [(line or [b""])[0].decode("utf-8", "replace").strip() for line in lines]
@@ -412,10 +414,10 @@ class StlTextFile(_FacetFile):
         self.normals, self._used_decimals = normals, decimals
 
     def _decimals(self) -> tuple[int, int]:
-        """Digits behind the point for normals and for corners: never fewer than the file has.
+        """Decimals for normals and for corners, at least those of the file.
 
-        Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
-        mean something beside the size of the mesh.
+        Tokens with an exponent can have any number of decimals (``1.5e-17``); theirs count only as
+        far as they matter at the size of the mesh.
         """
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
@@ -427,7 +429,7 @@ class StlTextFile(_FacetFile):
         return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
 
     def _changes(self, vertices: Floats) -> list[Change]:
-        """The new normal and corners of each facet, one behind the other."""
+        """The new normal and corners of each facet, in the order of the file."""
         mesh_file.require_shape(vertices, self.vertices)
         is_moved = vertices != self.vertices
         if not is_moved.any():
@@ -460,16 +462,15 @@ def binary_stl(corners: Floats, normals: Floats, name: str) -> bytes:
     with np.errstate(over="ignore", invalid="ignore"):
         single = normals.astype(np.float32)
     facets["normal"] = np.where(np.isfinite(single), single, np.float32(0.0))
-    # A header that begins with "solid" would make readers take the file for text.
+    # If a header begins with "solid", readers take the file for text.
     header = b"binary STL " + name.encode("ascii", "replace")
     count = len(corners).to_bytes(4, "little")
     return header[:HEADER_BYTES].ljust(HEADER_BYTES) + count + facets.tobytes()
 
 
 def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:
-    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits.
-
-    ``single`` writes what float32 holds.
+    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits: of
+    float32 if ``single``.
     """
     from msal_cli.kernels.text import fill_rows, print_shortest
 

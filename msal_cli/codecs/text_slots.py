@@ -1,7 +1,6 @@
-"""Numbers in a text: its words, the digits that new ones get, and the bytes that take the place of
-the old.
+"""Numbers in text: finding words, choosing the digits of new numbers, and replacing old ones.
 
-In nearly all text meshes three numbers are one behind the other: no place per number is kept, and
+In nearly all text meshes three numbers follow one another.  Then no place is stored per number, and
 one walk over the file replaces or compares them.
 """
 
@@ -32,16 +31,16 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
 SHORTEST = 18
-"""In place of a number of decimals: the shortest text that is read back as the same double."""
+"""Instead of a number of decimals: the shortest text that is read as the same double."""
 
 NORMAL_DECIMALS = 6
-"""Decimals that a recomputed unit normal has at the least."""
+"""Least decimals of a recomputed unit normal."""
 
 SIGNIFICANT_DIGITS = 15
-"""Decimal digits that float64 keeps whatever they are."""
+"""Decimal digits that float64 can always keep."""
 
 _FAR_FINER = 1e-7
-"""Of the bounding box's diagonal: positions are written at least this finely."""
+"""Part of the bounding box's diagonal: the coarsest step with which positions are written."""
 
 _NUMBER = re.compile(rb"[^\s\"'\\]*")
 
@@ -49,15 +48,15 @@ _NUMBER = re.compile(rb"[^\s\"'\\]*")
 def usual_decimals(used: Bytes) -> int:
     """The fewest decimals that all but one in a hundred of ``used`` (n,) do not exceed.
 
-    A few numbers that some program wrote with all 17 digits say nothing about the others.
+    A few numbers that some program wrote with all 17 digits do not matter.
     """
     n_above = len(used) - np.cumsum(np.bincount(used, minlength=1))
     return int(np.argmax(n_above * 100 <= len(used)))
 
 
 def extent_decimals(vertices: Floats) -> int | None:
-    """Decimals with which 1e-7 of the bounding box's diagonal can be written; less than 0 for a
-    large one, None where all positions (n, 3) are the same."""
+    """Decimals for a step of 1e-7 of the bounding box's diagonal; less than 0 for a large box, None
+    if all positions (n, 3) are the same."""
     # Column by column: numpy reduces the first of two axes slowly.  Halves cannot overflow.
     halves = [float(column.max() * 0.5 - column.min() * 0.5) for column in vertices.T]
     step = min(2.0 * math.hypot(*halves), 1e300) * _FAR_FINER
@@ -66,28 +65,28 @@ def extent_decimals(vertices: Floats) -> int | None:
 
 @dataclass(eq=False)
 class TextSlots(Slots):
-    """Numbers in a text, in runs: the three of a row one behind the other with blanks between, or
-    each for itself."""
+    """Numbers in text, in runs: the three of a row with blanks between them, or each number by
+    itself."""
 
     data: Bytes  # (size,) uint8, the file
-    at: Longs  # (q,) int64, ascending, first byte of each run, or of its keyword
+    at: Longs  # (q,) int64, ascending, first byte of each run, or of the keyword before it
     _: KW_ONLY
     values: Floats  # (n, k) float64
     skipped: int = 0  # bytes of the keyword
     unit_length: bool = False  # the numbers are normals
-    # digits that the file may ask for before the shortest text is written instead
+    # most digits of a number; if the file needs more, the shortest text is written
     significant: int = SIGNIFICANT_DIGITS
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 
     @property
     def width(self) -> int:
-        """Numbers of a run: those of a row, or 1."""
+        """Numbers in a run: those of a row, or 1."""
         return self.values.size // max(len(self.at), 1)
 
     @functools.cached_property
     def used(self) -> Bytes:
-        """The most decimals (q,) of the numbers of each run."""
+        """The most decimals of the numbers in each run (q,)."""
         from msal_cli.kernels.text import find_numbers
 
         used = np.empty(len(self.at), dtype=np.uint8)
@@ -96,9 +95,9 @@ class TextSlots(Slots):
 
     @functools.cached_property
     def decimals(self) -> int:
-        """Decimals of new numbers: as many as are usual, or as 1e-7 of the extent needs, whichever
-        is more; ``SHORTEST`` where they and the digits before the point are more than
-        ``significant``, or where nothing tells the scale."""
+        """Decimals of new numbers: the usual ones, or as many as 1e-7 of the extent needs,
+        whichever is more; ``SHORTEST`` if these and the digits before the point exceed
+        ``significant``, or if the extent is 0."""
         needed: int | None = NORMAL_DECIMALS
         largest = 1.0
         if not self.unit_length:
@@ -111,12 +110,12 @@ class TextSlots(Slots):
         return SHORTEST if decimals + before > self.significant else min(decimals, SHORTEST)
 
     def own_decimals(self, values: Floats) -> Bytes | None:
-        """Decimals (q,) for new ``values`` (n, k) where each run keeps its own; else None."""
+        """Decimals (q,) for new ``values`` (n, k) if each run keeps its own; else None."""
         return None
 
     @property
     def is_whole(self) -> Flags:
-        """Which columns hold whole numbers."""
+        """Which columns are whole numbers."""
         return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
 
     def rounded(self, values: Floats) -> Floats:
@@ -126,8 +125,8 @@ class TextSlots(Slots):
     def make_patch(
         self, values: Floats, is_changed: Flags, decimals: Bytes, *, is_single: bool = False
     ) -> Patch:
-        """What writes new ``values`` (n, k) where they changed, with ``decimals`` (q,); with a run
-        for each number if ``is_single``."""
+        """The patch for new ``values`` (n, k) where they changed, with ``decimals`` (q,); with a
+        run for each number if ``is_single``."""
         from msal_cli.kernels.text import find_numbers
 
         starts, width = self.at + self.skipped, self.width
@@ -142,7 +141,7 @@ class TextSlots(Slots):
         flags = np.ascontiguousarray(is_changed).reshape(-1, width)
         decimals = decimals.reshape(-1)
         if width == 1 and not (starts[1:] > starts[:-1]).all():
-            # The file has the columns in another order.
+            # The columns are in another order in the file.
             order = np.argsort(starts, kind="stable")
             starts, rows, flags, decimals = (
                 starts[order],
@@ -154,7 +153,7 @@ class TextSlots(Slots):
 
 
 def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    """The values (q,) of words; FormatError with the line of one that is no number."""
+    """The values (q,) of words; FormatError, with the line, for one that is not a number."""
     from msal_cli.kernels.text import read_numbers
 
     values, bad = read_numbers(data, starts, stops)
@@ -170,28 +169,28 @@ def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
 
 
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
-    """What to do about a word that is no number: it may have the comma of another language, or
-    one that separates it from the next."""
+    """The hint for a word that is not a number: it may have a decimal comma, or a comma that
+    separates it from the next."""
     if word.endswith(b","):
         return "numbers are separated by blanks, not by commas"
     return "numbers need a decimal point, not a comma" if b"," in word else otherwise
 
 
 def line_of(data: Buffer | Bytes, at: int) -> int:
-    """The line, from one, that byte ``at`` is in; lines may end with LF, CR LF or CR."""
+    """The line, from 1, of byte ``at``; lines may end with LF, CR LF or CR."""
     from msal_cli.kernels.text import as_bytes
 
     before = as_bytes(data)[:at].tobytes()
-    # A CR LF that is cut in two by ``at`` has been counted by its CR.
+    # If ``at`` is within a CR LF, its CR has been counted.
     return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
 MAX_TURNS = 4096
-"""Changes between positions and normals, on the way through a file, from which on all of its new
-numbers have the same decimals."""
+"""If the order of a file alternates more often between positions and normals, all new numbers have
+the same decimals."""
 
 _ROWS = 1 << 16
-"""Runs of one kind that are replaced or compared at a time."""
+"""Runs of an array that are replaced or compared at a time."""
 
 
 @dataclass(eq=False)
@@ -199,9 +198,9 @@ class Statements(TextSlots):
     """Runs of three numbers that keep the decimals of their own lines."""
 
     def own_decimals(self, values: Floats) -> Bytes | None:
-        """Decimals (n,) for new ``values`` (n, 3): those that the line has, and at least those of
-        the file, cut down to what float64 tells apart, about 15 digits in all; normals have the
-        file's.  None where the file's are more than that."""
+        """Decimals (n,) for new ``values`` (n, 3): those of the line, and at least those of the
+        file, but no more than float64 can distinguish, about 15 digits in all; for normals those
+        of the file.  None if the file has more than that."""
         used, largest = self.used, max(float(values.max()), -float(values.min()))
         if self.unit_length:
             used, largest = np.zeros_like(used), 1.0
@@ -215,7 +214,7 @@ class Statements(TextSlots):
 
 class Patch(NamedTuple):
     """Runs of numbers at bytes ``at`` (q,), their new ``values`` (q, width), which of these
-    ``is_changed``, and the ``decimals`` (q,) of each run's."""
+    ``is_changed``, and the ``decimals`` (q,) of each run."""
 
     at: Longs
     values: Floats
@@ -224,10 +223,10 @@ class Patch(NamedTuple):
 
 
 def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Patch]:
-    """What is to be written for changes of texts.
+    """The patches for changes of text.
 
-    New numbers have the decimals of their own lines where that is possible for all arrays, and
-    ``have_own`` is set, else the same ones in each array.
+    New numbers have the decimals of their own lines if that is possible for all arrays and
+    ``have_own`` is set; else all numbers of an array have the same.
     """
     own = [slots.own_decimals(values) for slots, values, _ in changes]
     has_own = have_own and all(decimals is not None for decimals in own)
@@ -246,7 +245,7 @@ def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Pa
 
 
 class _Block(NamedTuple):
-    """Runs one behind the other: see ``kernels.text.replace``."""
+    """Consecutive runs: see ``kernels.text.replace``."""
 
     begins: Longs
     old: Floats
@@ -255,11 +254,11 @@ class _Block(NamedTuple):
 
 
 def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
-    """The file with its runs' changed numbers replaced."""
+    """The file with the changed numbers of its runs replaced."""
     from msal_cli.kernels.parallel import at_once
 
     pieces = _cut(data, patches)
-    # A piece has room for all that it may become; then the pieces move together.
+    # Each piece has room for its longest result; then the pieces are moved together.
     places = np.cumsum([0, *[piece.stop - piece.start + piece.room for piece in pieces]]).tolist()
     out = np.empty(places[-1], dtype=np.uint8)
     tasks = [
@@ -268,19 +267,19 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
     ]
     ends = at_once(sum(len(patch.at) for patch in patches), *tasks)
     if None in ends:
-        # A run goes on behind a cut.
+        # A run extends beyond a cut.
         ends = [_replace_piece(data, _whole(data, patches), out, 0)]
     view, size = out.data, ends[0]
     for place, end in zip(places[1:], ends[1:], strict=False):
-        # Bytes that overlap are moved as they should be.
+        # memoryview moves overlapping bytes correctly.
         view[size : size + end - place] = view[place:end]
         size += end - place
     return view[:size]
 
 
 def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | None:
-    """Write a piece to ``out`` from byte ``to`` on; returns its end, or None where a number that
-    is replaced lies behind the piece."""
+    """Write a piece to ``out`` from byte ``to`` on; returns its end, or None if a replaced number
+    extends beyond the piece."""
     from msal_cli.kernels.text import format_shortest, replace
 
     done = piece.start
@@ -301,11 +300,11 @@ def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | Non
 
 
 def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> None:
-    """Raise InternalError unless ``result`` is the file with just that replaced."""
+    """Raise InternalError unless ``result`` is the file with only these runs replaced."""
     from msal_cli.kernels.parallel import at_once
 
     pieces = _cut(data, patches)
-    # No number has a line end, so that a line of the result is the same line of the file.
+    # Numbers contain no line ends, so lines of the result and of the file correspond.
     places = [0]
     for piece in pieces[:-1]:
         places.append(_skip_lines(result, places[-1], _count_lines(data[piece.start : piece.stop])))
@@ -316,7 +315,7 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
     ]
     faults = at_once(sum(len(patch.at) for patch in patches), *tasks)
     if len(pieces) > 1 and any(faults):
-        # Or a run goes on behind a cut; without cuts it is known.
+        # A run may extend beyond a cut: compare without cuts.
         faults = [_find_fault(data, _whole(data, patches), result, 0)]
     for fault in faults:
         if fault is not None:
@@ -324,7 +323,7 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
 
 
 def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> InternalError | None:
-    """What is wrong with ``result`` from byte ``start`` on, where a piece should be."""
+    """The error in ``result`` from byte ``start`` on, compared with a piece; None if right."""
     from msal_cli.kernels import text
 
     tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), 0.0)
@@ -355,7 +354,7 @@ def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> Intern
 
 
 class _Piece(NamedTuple):
-    """Bytes of a file from ``start`` to ``stop``, and the patches of the runs that begin there."""
+    """Bytes of a file from ``start`` to ``stop``, and the patches of runs that begin there."""
 
     start: int
     stop: int
@@ -363,7 +362,7 @@ class _Piece(NamedTuple):
 
     @property
     def room(self) -> int:
-        """Most bytes that new numbers take, and those that are written beyond an end."""
+        """The most bytes of new numbers, and of those that are written beyond an end."""
         from msal_cli.kernels.text import fixed_width
 
         room = 8
@@ -378,7 +377,7 @@ def _whole(data: Bytes, patches: Sequence[Patch]) -> _Piece:
 
 
 def _cut(data: Bytes, patches: Sequence[Patch]) -> list[_Piece]:
-    """The file in pieces of whole lines, one for each thread; one where it has few runs."""
+    """The file in pieces of whole lines, one per thread; a single piece if it has few runs."""
     from msal_cli.kernels.parallel import is_worth_it, threads
 
     if not is_worth_it(sum(len(patch.at) for patch in patches)):
@@ -403,7 +402,7 @@ def _cut(data: Bytes, patches: Sequence[Patch]) -> list[_Piece]:
 
 
 MAX_LINE = 4096
-"""Bytes before a run in which a line end is looked for."""
+"""Bytes before a run in which a line end is searched."""
 
 _LINES = 1 << 20
 """Bytes in which line ends are counted at a time."""
@@ -416,7 +415,7 @@ def _count_lines(text: Bytes) -> int:
 
 
 def _skip_lines(text: Bytes, at: int, n_lines: int) -> int:
-    """The byte behind so many line ends from ``at`` on; the end of the text where it has fewer."""
+    """The byte after ``n_lines`` line ends from ``at`` on; the end of the text if it has fewer."""
     for begin in range(at, len(text), _LINES):
         ends = np.flatnonzero(text[begin : begin + _LINES] == 10)
         if len(ends) >= n_lines:
@@ -426,27 +425,27 @@ def _skip_lines(text: Bytes, at: int, n_lines: int) -> int:
 
 
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
-    """The runs in the order of the file, a block at a time."""
+    """The runs in the order of the file, in blocks."""
     patches = sorted((p for p in patches if len(p.at)), key=lambda patch: int(patch.at[0]))
     if any(second.at[0] < first.at[-1] for first, second in itertools.pairwise(patches)):
-        # Their runs take turns.
+        # Runs of several arrays alternate.
         order = np.argsort(np.concatenate([patch.at for patch in patches]), kind="stable")
         patches = [Patch(*(np.concatenate(part)[order] for part in zip(*patches, strict=True)))]
     for at, values, is_changed, decimals in patches:
         for first in range(0, len(at), _ROWS):
             rows = slice(first, first + _ROWS)
-            # Zeros, since a stored number that is none would differ from itself.
+            # Zeros, because a stored NaN would differ from itself.
             new = np.where(is_changed[rows], values[rows], 0.0)
             old = np.where(is_changed[rows], np.nan, 0.0)
             yield _Block(at[rows], old, new, decimals[rows])
 
 
 Span = tuple[int, int]
-"""The place of a piece of text: its first character, and the one behind its last."""
+"""The place of a piece of text: its first character, and the one after its last."""
 
 
 def replace_spans(text: AnyStr, edits: Iterable[tuple[Span, AnyStr]]) -> AnyStr:
-    """``text`` with other text at some places."""
+    """``text`` with the text at some places replaced."""
     pieces: list[AnyStr] = []
     done = 0
     for (start, stop), new in sorted(edits):
@@ -460,8 +459,8 @@ _Slots = TypeVar("_Slots", bound=TextSlots)
 
 
 class Words:
-    """The words of ``data[start:stop]``, comments left out: ``starts`` and ``stops`` (q,) in
-    ``data``, and ``lines`` (q,), ascending, equal for words of one line."""
+    """The words of ``data[start:stop]`` without comments: ``starts`` and ``stops`` (q,) in
+    ``data``, and ``lines`` (q,), ascending, equal for words on one line."""
 
     def __init__(
         self, data: Buffer | Bytes, start: int = 0, stop: int | None = None, *, comment: bytes = b""
@@ -482,7 +481,7 @@ class Words:
         return self.data[int(self.starts[i]) : int(self.stops[i])].tobytes()
 
     def where(self, i: int) -> str:
-        """The line of a word, or of the end for one behind the last."""
+        """The line of a word; for an index after the last word, the line of the end."""
         at = int(self.starts[i]) if i < len(self) else len(self.data)
         return f"line {line_of(self.data, at)}"
 
@@ -492,7 +491,7 @@ class Words:
             raise cut_short(f"the file ends before all {what} are there", self.where(len(self)))
 
     def count(self, i: int, what: str) -> int:
-        """The word as a number of things, at least 0."""
+        """A word as a count, at least 0; ``what`` names the things that it counts."""
         self.require(i + 1, what)
         word = self.word(i)
         if not word.isdigit() or len(word) > 18:
@@ -501,7 +500,7 @@ class Words:
         return int(word)
 
     def integers(self, chosen: slice | Longs) -> Longs:
-        """Whole numbers; FormatError for a word that is none."""
+        """Words as whole numbers; FormatError for a word that is not one."""
         starts = self.starts[chosen]
         values = parse_floats(self.data, starts, self.stops[chosen])
         wrong = ~(np.abs(values) < 2.0**53) | (values != np.rint(values))
@@ -511,8 +510,8 @@ class Words:
         return values.astype(np.int64)
 
     def float_rows(self, first: Longs, kind: type[_Slots], **more: Any) -> _Slots:
-        """Rows of three numbers, ``first`` (n,) being the first word of each; ``more`` are other
-        fields of the ``kind`` of slots."""
+        """Rows of three numbers; ``first`` (n,) are the indices of their first words, ``more``
+        other fields of the ``kind`` of slots."""
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
         values = parse_floats(self.data, self.starts[chosen], self.stops[chosen]).reshape(-1, 3)
         return kind(self.data, self.starts[first], values=values, **more)
@@ -524,8 +523,8 @@ _NONE, _NO_BYTES = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
 def require_indices(
     indices: Longs, count: int, where: Callable[[int], str] = "corner {} of all faces".format
 ) -> None:
-    """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1; ``where``
-    says where one is, by its number."""
+    """Raise ContentError (``E_INDEX``) for an index outside 0 to ``count`` - 1; ``where`` gives the
+    place of an index by its number."""
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
         first = int(np.argmax(wrong))

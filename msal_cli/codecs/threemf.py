@@ -1,7 +1,7 @@
 """3MF: positions replaced inside the XML of its model parts, inside the zip archive.
 
-All else is kept byte for byte: the rest of the XML, every other member of the archive with its
-compressed data, times, flags and place.  A mesh that several components or build items show is one
+All else is kept byte for byte: the rest of the XML, and every other member of the archive with its
+compressed data, times, flags and place.  A mesh that several components or build items use is one
 mesh, and is denoised once.
 """
 
@@ -27,7 +27,7 @@ LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""
 
 _MAX_RELATIONSHIPS = 1 << 20
-"""Bytes of the relationships of a package; real ones have some hundred."""
+"""Bytes of the relationships of a package; real ones have some hundreds."""
 
 _RELATIONSHIPS = "http://schemas.openxmlformats.org/package/2006/relationships"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
@@ -38,15 +38,15 @@ _ORIGIN_TYPE = (
 _ROOT = "_rels/.rels"
 
 
-_BETWEEN = b"\0"
-"""Between the texts of model parts, which have no such byte."""
+_SEPARATOR = b"\0"
+"""Separates the texts of model parts, which do not contain this byte."""
 
 
 class _Coordinates(text_slots.TextSlots):
     """The positions of a mesh.
 
     A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
-    the mesh's extent asks for, whichever is most.
+    the mesh's extent needs, whichever is most.
     """
 
     def own_decimals(self, values: Floats) -> Bytes:
@@ -65,20 +65,20 @@ class _Coordinates(text_slots.TextSlots):
 class ThreeMfFile(mesh_file.MeshFile):
     """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
 
-    ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the
-    frame of the build, since two may coincide in their own; with one, in its own.
+    ``vertices`` are those of all meshes, concatenated.  With several meshes they are in the frame
+    of the build, since two may coincide in their own; with one, in its own.
 
-    Its numbers lie in the texts of the model parts, one behind the other.
+    Its numbers are in the texts of the model parts, concatenated.
     """
 
     def __init__(self, data: Buffer) -> None:
         self.archive = Archive(data)
-        self.is_signed = False  # whether a digital signature holds its bytes
+        self.is_signed = False  # whether it has a digital signature of its bytes
         self.models: dict[str, Model] = {}  # model parts by their members' names, the root first
         self._texts: dict[str, bytes] = {}
         self._load(min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data))))
         placed, has_instances = self._find_frames()
-        text = _BETWEEN.join(self._texts.values())
+        text = _SEPARATOR.join(self._texts.values())
         self._texts.clear()
         positions, faces, frames = [], [], []
         begin = n_vertices = 0
@@ -92,7 +92,7 @@ class ThreeMfFile(mesh_file.MeshFile):
                     faces.append(mesh.faces + n_vertices)
                     frames.append(placed.get((name, number), np.eye(4)))
                     n_vertices += len(mesh.vertices)
-            begin += model.size + len(_BETWEEN)
+            begin += model.size + len(_SEPARATOR)
         if not faces:
             raise errors.no_faces("the file has no triangles")
         unit = next(iter(self.models.values())).unit
@@ -149,8 +149,8 @@ class ThreeMfFile(mesh_file.MeshFile):
         return targets[0]
 
     def _load(self, room: int) -> None:
-        """Read the root model and all that its build and components lead to, which may expand to
-        ``room`` bytes."""
+        """Read the root model and all parts that its build and components refer to; they may expand
+        to ``room`` bytes in all."""
         waiting = deque([self._member(self._root_target(), _ROOT)])
         while waiting:
             member = waiting.popleft()
@@ -178,10 +178,11 @@ class ThreeMfFile(mesh_file.MeshFile):
         return errors.damaged(f"{what} is not in the package", where)
 
     def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
-        """The frame of each object that is built, by the first way to it; if one has several.
+        """The frame of each object in the build, by the first path to it, and whether any object
+        has several paths.
 
-        An object is followed once, however often it is used, since a file can nest uses so that
-        there are more of them than any machine can count.
+        An object is followed once, however often it is used, because nested uses can be more than
+        any machine can count.
         """
         frames: dict[tuple[str, int], Floats] = {}
         has_instances = False
@@ -225,7 +226,7 @@ class ThreeMfFile(mesh_file.MeshFile):
             ) from None
         if expected != output:
             raise errors.InternalError("a 3MF file changed outside its models")
-        super().check(_BETWEEN.join(texts), vertices)
+        super().check(_SEPARATOR.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:
         stale = [word for model in self.models.values() for word in model.stale]
@@ -239,13 +240,14 @@ class ThreeMfFile(mesh_file.MeshFile):
         names = list(self.models)
         if len(names) == 1:
             return self.archive.replace({names[0]: content})
-        pairs = zip(bytes(self._data).split(_BETWEEN), bytes(content).split(_BETWEEN), strict=True)
+        old_texts, new_texts = bytes(self._data).split(_SEPARATOR), bytes(content).split(_SEPARATOR)
+        pairs = zip(old_texts, new_texts, strict=True)
         return self.archive.replace(
             {name: new for name, (old, new) in zip(names, pairs, strict=True) if new != old}
         )
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
-        """New positions of each mesh in its own frame; unmoved ones exactly as they are stored."""
+        """New positions of each mesh in its own frame; unmoved ones exactly as stored."""
         result = super()._to_file(vertices)
         is_finite = np.concatenate([np.isfinite(values).all(axis=1) for values in result])
         if not is_finite.all():
@@ -293,7 +295,7 @@ _TAIL = b"""</triangles>
 def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     """A 3MF file of vertices (n, 3) and triangles (m, 3); the same bytes on every run.
 
-    Each number is the shortest text that is read back as the same float64, or float32.
+    Each number is the shortest text that is read as the same float64 (float32 if ``single``).
     """
     from msal_cli.kernels import text
 

@@ -1,7 +1,7 @@
-"""One model part of a 3MF package: XML taken apart so that positions can be replaced in its text.
+"""One model part of a 3MF package: XML parsed so that positions can be replaced in its text.
 
-The long lists of vertices and triangles, where they have the plain form that nearly all programs
-write, are left out of what the slow parser gets: a pattern holds them to that form.
+Long lists of vertices and triangles in the plain form that nearly all programs write are matched by
+a pattern, and left out of the text for the slow XML parser.
 """
 
 import math
@@ -34,7 +34,7 @@ _QUOTE, _LESS = 34, 60
 
 
 def find_quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
-    """What stands between the first three pairs of quotes of each element, (n, 3) starts and stops;
+    """The places of the first three quoted values of each element, (n, 3) starts and stops;
     ``offset`` is added to all."""
     quotes = np.flatnonzero(region == _QUOTE)
     tags = np.flatnonzero(region == _LESS)
@@ -54,23 +54,23 @@ _UNDERSTOOD = (
     _MICROSOFT + "material/2015/02",
     _MICROSOFT + "trianglesets/2021/07",
 )
-"""Extensions that a file may require, since none of them changes what a mesh is."""
+"""Extensions that a file may require, because none of them changes the mesh."""
 
 _STALE = {
     _MICROSOFT + "beamlattice/2017/02": "a beam lattice",
     _MICROSOFT + "slice/2015/07": "slices",
 }
-"""Extensions that describe the same surface a second time, so that it must not move alone."""
+"""Extensions that describe the same surface again, so that it must not move alone."""
 
 _PAINT = "triangle attributes"
-"""Attributes of triangles beside their corners: colours, materials, what a slicer has painted."""
+"""Attributes of triangles besides their corners: colours, materials, paint of a slicer."""
 
 MAX_USES = 100_000
 """Components and items of a part; large assemblies have some thousands."""
 
 UNITS = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in"}
 UNITS |= {"foot": "ft", "meter": "m"}
-"""The units, and what options call them."""
+"""The units of 3MF, and their names in options."""
 
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
@@ -87,10 +87,10 @@ class ThreeMfMesh:
 
 @dataclass(frozen=True)
 class Use:
-    """A component, or an item of the build: an object of a part, and where it is put.
+    """A component, or an item of the build: an object of a part, and its placement.
 
-    ``path`` is empty for an object of the same part.  ``frame`` (4, 4) takes columns.  ``at`` is
-    where it stands in the text.
+    ``path`` is empty for an object of the same part.  ``frame`` (4, 4) applies to column vectors.
+    ``at`` is its place in the text.
     """
 
     object_id: int
@@ -100,12 +100,12 @@ class Use:
 
 
 def place_of(text: bytes, name: str, at: int) -> str:
-    """A byte of a part in words."""
+    """The place of a byte of a part, as text."""
     return f"{name}, line {1 + text.count(10, 0, at)}"
 
 
 class Model:
-    """A model part taken apart; ``name`` is for messages.
+    """A parsed model part; ``name`` is for messages.
 
     Raises FormatError, TruncatedError, UnsupportedError, and ContentError (``E_INDEX``,
     ``E_NONFINITE``).
@@ -115,12 +115,12 @@ class Model:
         self.size = len(text)
         self.ids: set[int] = set()  # of its objects
         self.meshes: dict[int, ThreeMfMesh] = {}  # by their objects' ids, in the order of the file
-        self.components: dict[int, list[Use]] = {}  # what an object is put together from
-        self.items: list[Use] = []  # what is to be built
-        self.words: dict[str, None] = {}  # what else is carried along, for reports
-        self.stale: dict[str, None] = {}  # what would no longer fit the surface once it moved
+        self.components: dict[int, list[Use]] = {}  # the components of objects
+        self.items: list[Use] = []  # the items to build
+        self.words: dict[str, None] = {}  # what else is kept unchanged, for reports
+        self.stale: dict[str, None] = {}  # what would no longer fit the surface after a move
         self._text, self._name = text, name
-        # Plain lists by the byte where the tag begins that opens each: where they begin and end.
+        # For each plain list, by the first byte of its opening tag, where it begins and ends.
         self._lists = {
             tag.start(): match.span()
             for tag in _LIST.finditer(text)
@@ -218,7 +218,7 @@ class Model:
             for axis in "xyz":
                 start, stop = spans.get(axis, (vertex.start, vertex.start))
                 raw = self._text[start:stop]
-                # As the text has it, so that a new number can take its place.
+                # Matched as written, so that a new number can replace it.
                 value = raw.strip().decode("utf-8", "replace")
                 is_number = _DECIMAL.fullmatch(value)
                 if _NO_NUMBER.fullmatch(value) or (is_number and math.isinf(float(value))):
@@ -236,7 +236,7 @@ class Model:
             starts, stops = find_quoted(region, span[0])
             if np.count_nonzero(region == _QUOTE) > 2 * starts.size:
                 self.words[_PAINT] = None
-            # As float64, so that no index wraps round, however many digits it has.
+            # As float64, an index with any number of digits does not wrap around.
             return np.minimum(self._numbers(starts, stops), 2.0**53).astype(np.int64)
         corners = array("q")
         for triangle in element.all("triangle"):

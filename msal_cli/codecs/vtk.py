@@ -1,8 +1,8 @@
 """VTK's legacy files (``.vtk``): points and normals replaced inside the original bytes.
 
-Read are ascii and binary files of versions 1 to 5.1 with polygonal data or unstructured grids.
-What stands behind the cells (attributes, fields, metadata) is looked into for normals alone;
-whatever of it is not understood is kept.  Everything binary is big-endian, as VTK writes it.
+Supported are ascii and binary files of versions 1 to 5.1 with polygonal data or unstructured grids.
+After the cells (attributes, fields, metadata) only normals are read; what is not understood there
+is kept.  All binary data are big-endian, as VTK writes them.
 """
 
 import re
@@ -33,14 +33,14 @@ _POINTS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = {"VERTICES": "vertex", "LINES": "line", "POLYGONS": "polygon", "TRIANGLE_STRIPS": "strip"}
 _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 _PER_TUPLE |= dict.fromkeys(("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"), 1)
-"""Numbers of a tuple of each attribute whose line is its name and a type."""
+"""Numbers per tuple of attributes whose line is a name and a type."""
 
 _PRECISIONS = {">f4": "float32", ">f8": "float64"}
 _ZERO = np.zeros(1, dtype=np.int64)
 
 
 def parse(data: Buffer) -> Layout:
-    """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
+    """Read a VTK file; UnsupportedError for data without explicit points, and curved cells."""
     header = _HEADER.match(data)
     if not header:
         message = "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY"
@@ -83,7 +83,7 @@ def parse(data: Buffer) -> Layout:
 
 
 class _Reader:
-    """A position in a VTK file, and what was read up to there."""
+    """A position in a VTK file, and what was read before it."""
 
     def __init__(self, data: Buffer, at: int, *, is_text: bool) -> None:
         from msal_cli.kernels.text import as_bytes
@@ -91,7 +91,7 @@ class _Reader:
         self.precision = ""  # of the points
         self.points: Slots | None = None
         self.surface = Cells()
-        # Sizes and corners of those whose types are not read yet.
+        # Sizes and corners of cells whose types are not read yet.
         self.cells: tuple[Longs, Longs] | None = None
         self.normals: Slots | None = None
         self.properties: list[str] = []
@@ -102,7 +102,7 @@ class _Reader:
         self._words = Words(data, at) if is_text else None
 
     def where(self) -> str:
-        """The line, or the byte in a binary file, at which the last line of words began."""
+        """The line, or the byte in a binary file, where the last line of words began."""
         if self._words is None:
             return f"byte {self._line_at}"
         return f"line {line_of(self._data, self._line_at)}"
@@ -129,14 +129,14 @@ class _Reader:
         return words[k]
 
     def count_of(self, words: list[str], k: int, what: str) -> int:
-        """One of the words of a line as a number of things."""
+        """A word of a line as a count; ``what`` names the things that it counts."""
         word = self.word_of(words, k)
         if not (word.isascii() and word.isdigit()) or len(word) > 18:
             raise self.damaged(f"{word[:40]!r} is not a number of {what}")
         return int(word)
 
     def _read_normals(self, count: int, kind: str) -> Slots | None:
-        """The normals (n, 3) that follow; None if they are stored as whole numbers."""
+        """The normals (n, 3) that follow; None if they are whole numbers."""
         code = self._code(kind)
         if code not in _PRECISIONS:
             self._skip(3 * count, kind)
@@ -162,7 +162,7 @@ class _Reader:
         return self._data[at : at + size * count].view(code).astype(np.int64)
 
     def _read_cells(self, words: list[str]) -> tuple[Longs, Longs]:
-        """Sizes (k,) and corners of the cells whose section begins with this line."""
+        """Sizes (k,) and corners of the cells in the section that begins with this line."""
         first, second = (self.count_of(words, k, "cells") for k in (1, 2))
         at = self._at
         header = self.line()
@@ -180,7 +180,7 @@ class _Reader:
         return self._counted_cells(first, self._integers(second, "int"))
 
     def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
-        """Sizes and corners of cells that are stored as a count and their corners each."""
+        """Sizes and corners of cells that are stored as a count followed by corners."""
         if n_cells > len(numbers):
             raise self.damaged("more cells than numbers")
         size = int(numbers[0]) + 1 if n_cells else 0
@@ -220,7 +220,7 @@ class _Reader:
         first = int(np.searchsorted(self._words.starts, self._at))
         self._words.require(first + count, "numbers")
         if count:
-            # Behind the line end too, so that a blank line behind it still ends METADATA.
+            # Keep the line end, so that a blank line after it still ends METADATA.
             self._at = int(self._words.stops[first + count - 1])
         return slice(first, first + count)
 
@@ -234,7 +234,7 @@ class _Reader:
         return at
 
     def read_section(self, words: list[str]) -> None:
-        """Read a section in front of the attributes; ``words`` are those of its first line."""
+        """Read a section before the attributes; ``words`` are those of its first line."""
         keyword = words[0].upper()
         if keyword == "POINTS":
             n_points, kind = self.count_of(words, 1, "points"), self.word_of(words, 2)
@@ -265,8 +265,8 @@ class _Reader:
             raise self.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
     def read_attributes(self, words: list[str]) -> None:
-        """Look for normals of points among the attributes, whose first line is ``words``; what is
-        not understood is left alone."""
+        """Find normals of points among the attributes, whose first line is ``words``; attributes
+        that are not understood are kept."""
         owner, n_tuples = "", 0
         try:
             while words:
@@ -330,10 +330,10 @@ class _Reader:
             self.properties.append(f"{owner}.{name}" if owner else f"field {name}")
 
 
-# Cells: the polygons of a surface in the order of the file, others counted
+# Cells: the polygons of a surface in file order; other cells are counted
 
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 69, 70, 76, 77)
-"""Types of surface cells of second order, which are refused."""
+"""Types of second-order surface cells, which are refused."""
 
 _KINDS = {
     **dict.fromkeys((1, 2), "vertex"),
@@ -344,13 +344,13 @@ _KINDS = {
     42: "polyhedron",
 }
 _CORNERS = {5: ("triangle", 3), 8: ("pixel", 4), 9: ("quad", 4)}
-"""Surface cells of one size."""
+"""Surface cells with a fixed number of corners."""
 
 _FLAT = ("polygon", "strip", "line", "vertex")
 
 
 class Cells:
-    """Polygons collected block by block, and how many cells of each kind there are."""
+    """Polygons collected block by block, and the number of cells of each kind."""
 
     def __init__(self) -> None:
         self._corners: list[Longs] = [_ZERO[:0]]
@@ -359,16 +359,16 @@ class Cells:
         self._small = 0
 
     def add(self, kind: str, sizes: Longs, corners: Longs) -> None:
-        """Add cells of one kind: ``sizes`` (k,), and their corners one behind the other.
+        """Add cells of one kind: ``sizes`` (k,), and their corners, concatenated.
 
-        Cells that are no surface are counted.
+        Cells that are not a surface are only counted.
         """
         self._counts[kind] += len(sizes)
         if kind == "strip":
             n_triangles = np.maximum(sizes - 2, 0)
             inside = number_within(n_triangles)
             at = np.repeat(np.cumsum(sizes) - sizes, n_triangles) + inside
-            # Every second triangle is turned, so that all face one way.
+            # Every second triangle is reversed, so that all face the same way.
             odd = inside % 2
             corners = corners[np.stack([at + odd, at + 1 - odd, at + 2], axis=1)].reshape(-1)
             sizes = np.full(len(at), 3, dtype=np.int64)
@@ -381,8 +381,8 @@ class Cells:
         self._sizes.append(sizes)
 
     def add_types(self, types: Longs, sizes: Longs, corners: Longs) -> None:
-        """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers: polygons in
-        the order of the file, and behind them strips."""
+        """Add the cells of an unstructured grid with VTK's numbers of ``types`` (k,): polygons in
+        file order, and after them strips."""
         if len(types) != len(sizes):
             raise errors.damaged(f"{len(types):,} types for {len(sizes):,} cells", "cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
@@ -393,7 +393,7 @@ class Cells:
         for type, (name, size) in _CORNERS.items():
             if ((types == type) & (sizes != size)).any():
                 raise errors.damaged(f"a {name} has not {size} corners")
-        # A pixel has its corners row by row.
+        # The corners of a pixel are stored row by row.
         last = np.cumsum(sizes)[types == 8] - 1
         corners[[last - 1, last]] = corners[[last, last - 1]]
         kinds: dict[str, list[int]] = {}
@@ -408,11 +408,11 @@ class Cells:
         return np.concatenate(self._corners)
 
     def sizes(self) -> Longs:
-        """How many corners each polygon (p,) has."""
+        """The number of corners of each polygon (p,)."""
         return np.concatenate(self._sizes)
 
     def describe(self, without: Sequence[str] = ()) -> str:
-        """What cells there are but of some kinds, such as ``"3 tetrahedra, 1 line"``."""
+        """The cells except some kinds, such as ``"3 tetrahedra, 1 line"``."""
         counts = {kind: n for kind, n in self._counts.items() if n and kind not in without}
         return ", ".join(errors.format_count(n, kind) for kind, n in counts.items())
 

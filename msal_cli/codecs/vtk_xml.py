@@ -1,7 +1,7 @@
 """VTK's XML files (``.vtu``, ``.vtp``): points and normals replaced inside the original bytes.
 
-Read are unstructured grids and polygonal data in pieces, their arrays as text, base64 or raw
-bytes, not compressed or compressed with zlib or LZMA.  A new array is written as the old one was.
+Supported are unstructured grids and polygonal data in pieces, with arrays as text, base64 or raw
+bytes, uncompressed or compressed with zlib or LZMA.  A new array is written like the old one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _TOO_SHORT = "an array ends before all its bytes are there"
 
 
 class Coding:
-    """How a file stores arrays: ``order`` of bytes, type of the ``header`` numbers, and the name of
+    """How a file stores arrays: the byte ``order``, the type of ``header`` numbers, and the name of
     the ``compressor``."""
 
     def __init__(self, data: Buffer, root: Element, appended: re.Match[bytes] | None) -> None:
@@ -63,12 +63,12 @@ class Coding:
 
     @property
     def head_bytes(self) -> int:
-        """Bytes before an array: its size or, if it is compressed, three numbers of its blocks."""
+        """Bytes before an array: its size or, if it is compressed, three numbers for its blocks."""
         return np.dtype(self.header).itemsize * (3 if self.compressor else 1)
 
     def expand(self, size: int, packed: int, at: int) -> None:
-        """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError beyond what
-        one array, or all arrays together, may expand to."""
+        """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError if it, or
+        all arrays together, expand to too much."""
         self._expanded_bytes += size
         of_all = max(ALWAYS_EXPANDED, MAX_RATIO * len(self.data))
         if size > max(ALWAYS_EXPANDED, MAX_RATIO * packed) or self._expanded_bytes > min(
@@ -82,7 +82,7 @@ class Coding:
             )
 
     def place(self, array: Element) -> tuple[int, int, bool]:
-        """The first byte of an array, the last that it may have, and whether it is raw."""
+        """The first byte of an array, the end of the bytes that it may have, whether it is raw."""
         if array.attributes.get("format") != "appended":
             return array.inside, array.text_stop, False
         offset = array.attributes.get("offset", "").strip()
@@ -128,7 +128,7 @@ class Coding:
         return EncodedNumbers(self, array, code, count)
 
     def decode(self, array: Element) -> tuple[Buffer, Span]:
-        """The bytes of an array, and between which bytes of the file it and its header are."""
+        """The bytes of an array, and the place of it and its header in the file."""
         start, stop, is_raw = self.place(array)
         view = memoryview(self.data).cast("B")[:stop]
         source = _Source(view, start, is_raw=is_raw)
@@ -143,13 +143,13 @@ class Coding:
         if n_blocks * width > stop - start:
             raise errors.cut_short("blocks are missing", f"byte {start}")
         sizes = np.frombuffer(source.take(n_blocks * width), dtype=self.header).tolist()
-        # Compressed data are a piece of base64 of their own.
+        # Compressed data are base64 of their own, after that of the header.
         source.left = b""
         packed = sum(sizes)
         total = (n_blocks - 1) * block_bytes + (last_bytes or block_bytes) if n_blocks else 0
         self.expand(total, packed, start)
         content = b"".join(
-            _expanded(
+            _expand_block(
                 source.take(size),
                 last_bytes if last_bytes and k == n_blocks - 1 else block_bytes,
                 self.compressor,
@@ -172,7 +172,7 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
 
 @dataclass(eq=False)
 class TextNumbers(text_slots.TextSlots):
-    """An array of words within the bytes ``span``."""
+    """An array of words in the bytes ``span``."""
 
     span: Span
 
@@ -181,7 +181,7 @@ class TextNumbers(text_slots.TextSlots):
         return bytes(text_slots.replace_statements(*self._plan(values, is_changed)))
 
     def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
-        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
+        """Raise InternalError unless ``new``, from another file, is the result of ``encode``."""
         assert isinstance(new, TextNumbers)
         data, patches = self._plan(values, is_changed)
         text_slots.require_replaced(data, new.data[slice(*new.span)], patches)
@@ -193,8 +193,8 @@ class TextNumbers(text_slots.TextSlots):
 
 
 class EncodedNumbers(Slots):
-    """An array within the bytes ``span`` that is replaced as a whole, since it may be compressed or
-    written in base64."""
+    """An array in the bytes ``span`` that is replaced as a whole, because it may be compressed or
+    in base64."""
 
     def __init__(self, coding: Coding, array: Element, code: str, count: int) -> None:
         content, self.span = coding.decode(array)
@@ -205,8 +205,8 @@ class EncodedNumbers(Slots):
         self._coding, self._is_raw = coding, coding.place(array)[2]
 
     def encode(self, values: Floats, is_changed: Flags) -> bytes:
-        """The bytes of the array with new values (n, 3), compressed and written as those that they
-        replace."""
+        """The bytes of the array with new values (n, 3), compressed and encoded like the old
+        ones."""
         content = self._new_content(values)
         coding = self._coding
         view = memoryview(coding.data).cast("B")[: self.span[1]]
@@ -228,7 +228,7 @@ class EncodedNumbers(Slots):
         return base64.b64encode(head + content)
 
     def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
-        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
+        """Raise InternalError unless ``new``, from another file, is the result of ``encode``."""
         assert isinstance(new, EncodedNumbers)
         if new._rows.tobytes() != self._new_content(values):
             raise errors.InternalError(
@@ -236,7 +236,7 @@ class EncodedNumbers(Slots):
             )
 
     def _new_content(self, values: Floats) -> bytes:
-        # Rows that did not move keep their bits, the signs of zeros included.
+        # Rows that did not move keep their bits, including the signs of zeros.
         is_same = (values == self.values).all(axis=1)[:, None]
         new = np.where(is_same, self._rows, to_type(values, self.codes[0]))
         return new.astype(self._rows.dtype).tobytes()
@@ -245,7 +245,7 @@ class EncodedNumbers(Slots):
 XmlSlots = TextNumbers | EncodedNumbers
 
 
-def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
+def _expand_block(block: bytes, size: int, compressor: str, at: int) -> bytes:
     try:
         if compressor == "vtkZLibDataCompressor":
             content = zlib.decompressobj().decompress(block, size + 1)
@@ -260,10 +260,10 @@ def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
 
 
 class _Source:
-    """Bytes taken one behind the other, raw or from base64, whose header may be a piece of its own.
+    """Takes bytes one after another, raw or from base64, whose header may be encoded separately.
 
-    ``first`` is where they begin, ``at`` the byte behind what was taken, ``left`` what was decoded
-    behind it, and ``is_split`` whether base64 ended within them.
+    ``first`` is the first byte, ``at`` the byte after those taken, ``left`` the decoded bytes that
+    are not taken yet; ``is_split`` is whether base64 ended within the bytes taken.
     """
 
     def __init__(self, view: memoryview, at: int, *, is_raw: bool) -> None:
@@ -295,20 +295,20 @@ class _Source:
 
 
 Edit = tuple[Span, bytes]
-"""A place, and what is to stand there."""
+"""A place, and its new content."""
 
 Bound = Callable[[Floats], Any]
 
 
 @dataclass(eq=False, kw_only=True)
 class XmlLayout(Layout):
-    """What changes with positions beside them, none of it inside an array of theirs."""
+    """A layout with values outside of its arrays that change with positions."""
 
-    # where the offset of each appended array stands, and the first byte of the array
+    # the place of the offset of each appended array, and the first byte of the array
     offsets: Sequence[tuple[Span, int]]
     base: int  # the byte from which offsets count
-    # where the least or the largest distance from the origin stands, the number of the array of
-    # positions, and which of the two it is
+    # the place of the least or greatest distance from the origin, the index of the array of
+    # positions, and the function that computes it
     bounds: Sequence[tuple[Span, int, Bound]]
 
     @property
@@ -317,7 +317,7 @@ class XmlLayout(Layout):
         return [*self.positions, *self.normals]  # type: ignore[list-item]
 
     def dependents(self) -> list[Span]:
-        """All places but those of arrays that change with positions."""
+        """The places outside of arrays that change with positions."""
         return [span for span, _ in self.offsets] + [span for span, _, _ in self.bounds]
 
 
@@ -368,7 +368,7 @@ class VtkXmlFile(MeshFile):
             raise errors.InternalError(f"{what} differs in more than positions and normals")
 
     def _dependent_edits(self, vertices: Floats, edits: Sequence[Edit]) -> list[Edit]:
-        """What follows from new positions, and from the sizes of the arrays that are written."""
+        """The edits that follow from new positions, and from the new sizes of arrays."""
         layout, view = self._layout, memoryview(self._data)
 
         def growth(at: int) -> int:
@@ -397,7 +397,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     """Read a VTU or VTP file.
 
     Raises UnsupportedError for another compression, another type of VTK file, and curved cells,
-    TooLargeError for an array that expands to more than any mesh does.
+    TooLargeError for an array that expands to more than any mesh needs.
     """
     appended = _APPENDED.search(data)
     root = parse_tree(data, appended.start() if appended else None)
@@ -405,7 +405,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     if root.name != "VTKFile" or not kind:
         raise errors.damaged("the file is no VTKFile", "line 1")
     if kind != _TYPES[format]:
-        suffix = {one: name for name, one in _TYPES.items()}.get(kind)
+        suffix = {value: name for name, value in _TYPES.items()}.get(kind)
         if suffix is None:
             raise errors.UnsupportedError(f"a VTKFile of the type {kind[:40]!r} is not read")
         raise errors.FormatError(f"a {kind} is a .{suffix} file", hint=f"rename it to .{suffix}")
@@ -423,7 +423,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
         normals = []
         warnings.append("normals are kept as they are, since not all pieces have them")
     cell_data = (piece.find("CellData") for piece in pieces)
-    if any(piece is not None and _named(piece, "normals") is not None for piece in cell_data):
+    if any(piece is not None and _find_named(piece, "normals") for piece in cell_data):
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {coding.code_of(part.points_array) for part in parts}
@@ -437,7 +437,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
         properties=tuple(dict.fromkeys(name for part in parts for name in part.properties)),
         warnings=tuple(dict.fromkeys(warnings)),
         held=", ".join(filter(None, (part.cells.describe() for part in parts))),
-        # The offsets of appended arrays move with the size of those in front of them.
+        # The offsets of appended arrays change with the sizes of earlier ones.
         offsets=[
             (span, coding.place(array)[0])
             for array in (root.inner() if coding.compressor else ())
@@ -483,13 +483,14 @@ class _Piece:
             names = [array.attributes.get("Name", "") for array in group.children] if group else []
             self.properties += [f"{owner}.{name}" for name in names]
         group = piece.find("PointData")
-        array = None if group is None else _named(group, group.attributes.get("Normals", "normals"))
+        wanted = group.attributes.get("Normals", "normals") if group is not None else ""
+        array = None if group is None else _find_named(group, wanted)
         if array is not None and coding.code_of(array)[1] == "f":
             self.normals = coding.numbers(array, self.n_points, are_normals=True)
 
 
-def _named(group: Element, name: str) -> Element | None:
-    """The array of three components of this name, in any case."""
+def _find_named(group: Element, name: str) -> Element | None:
+    """The array of three components with this name, in any case."""
     for array in group.all("DataArray"):
         own = array.attributes
         if own.get("Name", "").lower() == name.lower() and own.get("NumberOfComponents") == "3":
@@ -520,7 +521,7 @@ def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
 
 
 def _find_bounds(data: Buffer, array: Element, which: int) -> list[tuple[Span, int, Bound]]:
-    """The smallest and largest distance from the origin, which VTK writes beside points."""
+    """The least and greatest distance from the origin, which VTK writes beside points."""
     places = array.attribute_places(data)
     spans = [places.get("RangeMin"), places.get("RangeMax")]
     for key in array.all("InformationKey"):
@@ -532,7 +533,7 @@ def _find_bounds(data: Buffer, array: Element, which: int) -> list[tuple[Span, i
 
 
 def to_vtp(points: Floats, faces: NDArray[np.int32], *, single: bool) -> bytes:
-    """A new VTP file of points (n, 3) and triangles (m, 3), its arrays raw behind the rest."""
+    """A new VTP file of points (n, 3) and triangles (m, 3), with raw arrays at its end."""
     arrays = (
         points.astype("<f4" if single else "<f8"),
         faces.astype("<i8"),

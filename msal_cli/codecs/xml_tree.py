@@ -1,7 +1,7 @@
-"""XML files taken apart so that their bytes can be replaced: elements and where they lie.
+"""XML files parsed so that their bytes can be replaced: elements and their places.
 
-The XML comes from strangers.  Expat reads it, which knows no files and no network; a document type,
-and with it every entity, is refused.
+The XML is untrusted.  Expat reads it, without access to files and the network; document types, and
+with them all entities, are refused.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
 MAX_ELEMENTS = 1_000_000
-"""A file of more elements would take more memory as a tree than meshes take."""
+"""The tree of more elements would take more memory than meshes take."""
 
 _MAX_DEPTH = 100
-# Expat reports these at the end of the data only.
+# Expat reports these errors only at the end of the data.
 _CUT = (
     expat.errors.XML_ERROR_NO_ELEMENTS,
     expat.errors.XML_ERROR_UNCLOSED_TOKEN,
@@ -34,11 +34,11 @@ _ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An element."""
+    """An element and its place in the file."""
 
-    space: str  # space, name: its namespace and its name within it
+    space: str  # space, name: its namespace and its local name
     name: str
-    # by their names, with the namespace and a blank in front of those that have one
+    # by name, which begins with the namespace and a blank if the attribute has one
     attributes: dict[str, str]
     start: int  # the first byte of its tag; its content is ``data[inside:stop]``
     inside: int
@@ -47,7 +47,7 @@ class Element:
 
     @property
     def text_stop(self) -> int:
-        """The end of the text in front of the first element inside."""
+        """The end of the text before the first child."""
         return self.children[0].start if self.children else self.stop
 
     def find(self, name: str) -> Element | None:
@@ -58,7 +58,7 @@ class Element:
         return (child for child in self.children if child.name == name)
 
     def inner(self) -> Iterator[Element]:
-        """All elements inside, in the order of the file."""
+        """All descendants, in the order of the file."""
         left = self.children[::-1]
         while left:
             element = left.pop()
@@ -66,7 +66,7 @@ class Element:
             left.extend(element.children[::-1])
 
     def attribute_places(self, data: Buffer) -> dict[str, Span]:
-        """Between which bytes the values of attributes stand, by their names in the text."""
+        """The places of attribute values, by the attributes' names in the text."""
         places = {}
         for match in _ATTRIBUTE.finditer(memoryview(data)[: self.inside], self.start):
             places[match[1].decode("utf-8", "replace")] = match.span(
@@ -83,29 +83,29 @@ def parse_tree(
     left_out: Sequence[Span] = (),
     prefixes: dict[str, str] | None = None,
 ) -> Element:
-    """The root of an XML file, or of its beginning up to the byte ``stop``, if there is one.
+    """The root of an XML file, or of its beginning up to the byte ``stop``.
 
     Parameters
     ----------
-    name : of the file, for the places of errors, where it is one of several.
-    left_out : parts of the file, in order, that hold plain elements which are not looked into.
+    name : the file's name, for the places of errors, if it is one of several.
+    left_out : parts of the file, in order, with plain elements that are not parsed.
     prefixes : receives the namespaces by their prefixes.
 
     Raises FormatError if it is not well-formed XML; TruncatedError if the XML ends within an
-    element or a tag; UnsupportedError for a document type, which may declare entities, or letters
-    of more than one byte as in UTF-16; TooLargeError for more than ``MAX_ELEMENTS`` elements, or
-    very deep ones.
+    element or a tag; UnsupportedError for a document type, which may declare entities, or an
+    encoding such as UTF-16; TooLargeError for more than ``MAX_ELEMENTS`` elements, or very deep
+    ones.
     """
     root: Element | None = None
     opened: list[Element] = []
     count = 0
     parser = expat.ParserCreate(namespace_separator=" ")
-    # What Expat had got when each part was left out, and all that was left out until then.
+    # The bytes that Expat had received before each part was left out, and all left out until then.
     skipped = list(accumulate((end - begin for begin, end in left_out), initial=0))
     fed = [begin - size for (begin, _), size in zip(left_out, skipped, strict=False)]
 
     def place(index: int) -> int:
-        """The byte of the file for a byte of what Expat got."""
+        """The byte of the file for a byte that Expat received."""
         return index + skipped[bisect_right(fed, index)]
 
     of_name = f"{name}, " if name else ""
@@ -135,7 +135,7 @@ def parse_tree(
 
     def end(name: str) -> None:
         element = opened.pop()
-        # Of ``<a/>`` the end is reported where the tag begins.
+        # For ``<a/>`` the end is reported where the tag begins.
         element.stop = max(element.inside, place(parser.CurrentByteIndex))
 
     def refuse_doctype(*_: object) -> None:
@@ -176,7 +176,7 @@ def parse_tree(
             hint="save it as UTF-8",
         ) from None
     finally:
-        # They name the parser, so that nothing would be freed before long.
+        # The handlers refer to the parser, and the cycle would delay freeing it.
         parser.StartElementHandler = parser.EndElementHandler = None
     if root is None:
         raise damaged("the file has no element", name)

@@ -1,11 +1,11 @@
 """ZIP archives whose members are replaced one by one while all other bytes stay.
 
-The library's ``zipfile`` reads an archive, and would write it anew: other times, other flags,
-another order.  Here only the compressed data of a changed member, its sizes and checksum, and the
-offsets behind it change.
+``zipfile`` can read an archive, but would rewrite it with other times, other flags and another
+order.  Here only the compressed data of a changed member, its sizes and checksum, and the offsets
+after it change.
 
-An archive that could be read in two ways is refused: members that overlap or share a name, or have
-another name in front of their data.
+Ambiguous archives are refused: those with members that overlap, share a name, or have another name
+in their local header.
 """
 
 import contextlib
@@ -23,23 +23,23 @@ from msal_cli.storage.regular import Buffer
 _LOCAL, _END, _END_64, _DESCRIPTOR = b"PK\x03\x04", b"PK\x05\x06", b"PK\x06\x06", b"PK\x07\x08"
 _LOCAL_SIZE, _ENTRY_SIZE, _END_SIZE, _LOCATOR_SIZE = 30, 46, 22, 20
 _SEE_EXTRA = 0xFFFFFFFF
-"""In place of a size or an offset that is in the ZIP64 field."""
+"""This value of a size or an offset means that it is in the ZIP64 field."""
 
 _LEVEL = 5
-"""Of deflate: on a million faces 0.4 % larger than level 6, in 0.6 of its time."""
+"""Compression level: for a million faces 0.4 % larger than level 6, in 0.6 of its time."""
 
 _IS_ENCRYPTED, _HAS_DESCRIPTOR = 1, 8
 _REPACK = "pack it again as a plain zip archive"
 
 _Places = dict[str, tuple[int, str]]
-"""The first byte of each number of a header, and its type for ``struct``."""
+"""The first byte of each number in a header, and its type for ``struct``."""
 
 Numbers = dict[str, int]
-"""``crc``, ``packed`` and ``size`` of a member."""
+"""The ``crc``, ``packed`` and ``size`` of a member."""
 
 
 class Archive:
-    """An archive taken apart."""
+    """A parsed archive."""
 
     def __init__(self, data: Buffer) -> None:
         self._data = memoryview(data).cast("B")
@@ -62,7 +62,7 @@ class Archive:
         self._members = {_key(member.filename): member for member in self._zip.infolist()}
         if len(self._members) < len(self._zip.infolist()):
             raise errors.damaged("two members have one name", "central directory")
-        # By what lies behind one another: each member ends where the next one begins.
+        # In the order of the file: each member ends where the next one begins.
         ordered = sorted(self._members.values(), key=lambda member: member.header_offset)
         self._stops: dict[str, int] = {}
         behind = [member.header_offset for member in ordered[1:]]
@@ -76,7 +76,7 @@ class Archive:
         self._ordered = ordered
 
     def _find_end(self, at: int) -> int:
-        """The first byte of the end record, which lies at ``at``, or behind those of ZIP64."""
+        """The first byte of the end record, which is at ``at`` or after the ZIP64 records there."""
         if self._data[at : at + 4] == _END_64:
             at += 12 + self._value((at + 4, "<Q")) + _LOCATOR_SIZE
         if self._data[at : at + 4] != _END or at + _END_SIZE > len(self._data):
@@ -92,13 +92,13 @@ class Archive:
         return at
 
     def find(self, name: str) -> ZipInfo | None:
-        """The member of that name, a leading slash and the case of letters disregarded."""
+        """The member of that name, ignoring a leading slash and case."""
         return self._members.get(_key(name))
 
     def content(self, member: ZipInfo, room: int) -> bytes:
         """The expanded content of a member, of at most ``room`` bytes.
 
-        Nothing beyond the size in the directory is ever expanded.
+        No more than the size in the directory is expanded.
         """
         if member.flag_bits & _IS_ENCRYPTED:
             raise errors.UnsupportedError(
@@ -121,7 +121,7 @@ class Archive:
                 f"{member.filename} has other sizes in its local header",
                 f"byte {member.header_offset}",
             )
-        # Without a limit all that is compressed would be expanded before it is counted.
+        # Without a limit all compressed data would be expanded before they are counted.
         with _errors(member.filename), self._zip.open(member) as file:
             content = file.read(member.file_size + 1)
         if len(content) != member.file_size:
@@ -146,7 +146,7 @@ class Archive:
         return self.assemble(new)
 
     def assemble(self, contents: Mapping[str, tuple[Buffer, Numbers]]) -> bytes:
-        """The archive with new data, as they are stored, and new numbers of some members."""
+        """The archive with new stored data, and new numbers, of some members."""
         pieces: list[Buffer] = []
         shift = done = 0
         tail = bytearray(self._data[self._central_at :])
@@ -167,7 +167,7 @@ class Archive:
             raise errors.TooLargeError(
                 "the archive would have more than 4 GB", hint="cut the mesh into parts"
             )
-        # The offset of the directory in the end records.
+        # Shift the offset of the directory in the end records.
         at, end_at = (k - self._central_at for k in (self._behind_entries, self._end_at))
         ends = [(at + 48, "<Q"), (end_at - _LOCATOR_SIZE + 8, "<Q")] if at < end_at else []
         if struct.unpack_from("<L", tail, end_at + 16)[0] != _SEE_EXTRA:
@@ -183,8 +183,8 @@ class Archive:
         return int(at + _LOCAL_SIZE + sum(struct.unpack_from("<2H", self._data, at + 26)))
 
     def _places(self, at: int, offset: int = 0) -> _Places:
-        """Where the numbers of the local header, or with ``offset`` the entry of the directory, at
-        ``at`` lie: in it or in its ZIP64 field."""
+        """The places of the numbers in the local header at ``at`` or, with ``offset``, in the entry
+        of the directory there: in it or in its ZIP64 field."""
         begin, size = (16, _ENTRY_SIZE) if offset else (14, _LOCAL_SIZE)
         places = {"size": (at + begin + 8, "<L"), "packed": (at + begin + 4, "<L")}
         if offset:
@@ -207,11 +207,11 @@ class Archive:
         return int(struct.unpack_from(place[1], self._data, place[0])[0])
 
     def _wrap(self, member: ZipInfo, packed: Buffer, new: Numbers, stop: int) -> list[Buffer]:
-        """New data of a member between its header and what follows, with new numbers in both."""
+        """A member with new data and numbers: its header, the data, and what follows."""
         begin, data_at = member.header_offset, self._data_at(member)
         head = bytearray(self._data[begin:data_at])
         tail = bytearray(self._data[data_at + member.compress_size : stop])
-        # With a descriptor the header need not have them, but some programs write them twice.
+        # With a descriptor the header need not contain them, but some programs write both.
         places, old = self._places(begin), numbers_of(member)
         if {word: self._value(places[word]) for word in old} == old:
             _write(head, places, new, begin)
@@ -227,13 +227,13 @@ class Archive:
 
 
 def numbers_of(member: ZipInfo) -> Numbers:
-    """What the directory says of a member."""
+    """The numbers of a member in the directory."""
     return {"crc": member.CRC, "packed": member.compress_size, "size": member.file_size}
 
 
 @contextlib.contextmanager
 def _errors(where: str) -> Iterator[None]:
-    """Make FormatError or UnsupportedError of what ``zipfile`` raises."""
+    """Convert errors of ``zipfile`` to FormatError or UnsupportedError."""
     try:
         yield
     except NotImplementedError as failure:
@@ -250,7 +250,7 @@ def _key(name: str) -> str:
 
 
 def _write(target: bytearray, places: _Places, numbers: Numbers, begin: int) -> None:
-    """Write numbers to their places in ``target``, the bytes of the archive from ``begin`` on."""
+    """Write numbers to their places; ``target`` are the bytes of the archive from ``begin`` on."""
     for word, value in numbers.items():
         at, code = places[word]
         if code == "<L" and value >= _SEE_EXTRA and word != "crc":
