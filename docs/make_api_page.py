@@ -28,7 +28,7 @@ HEAD = """<!-- made by docs/make_api_page.py: change the docstrings and run it a
 
 Everything is in `msal_cli`, as in `import msal_cli as msal`. [python.md](python.md) explains it
 with examples. `help(msal.denoise)` says more of each name, with errors and examples.
-What an argument means is said once: under the first function that has it.
+Each argument is explained under the first function that has it.
 
 """
 RECORDS = """## Records

@@ -371,7 +371,7 @@ def denoise_file(
     method, prefer, keep, strength, assume, max_move, despike, min_noise, unit, parameters,
     more : as for ``denoise``.
     lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
-        ``"confidence < 0.2"``; a list of texts locks what any of them selects.
+        ``"confidence < 0.2"``; or a list of these.
     weights : a PLY vertex property, such as ``"confidence"``, as trust.
     intersections : also count the pairs of faces that intersect each other, which takes longer.
     to, encoding, precision : the output's format if its suffix does not show it; ``"ascii"`` or
@@ -470,7 +470,7 @@ def denoise_folder(
     include, exclude : patterns of files to include or exclude, such as ``"*.ply"``.
     in_place : replace the inputs.
     backup : with ``in_place``, the suffix under which the originals are kept; None keeps none.
-    jobs : files at the same time: more is faster and takes more memory.  None is one per core, as
+    jobs : files at the same time; more is faster and takes more memory.  None is one per core, as
         far as memory allows.  The results do not depend on it.
     timeout, memory_limit : seconds and bytes that one file may use; None is unlimited.
     retries : how often a file is tried again after a crash, or when memory or time ran out.

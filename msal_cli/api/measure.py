@@ -33,9 +33,9 @@ def compare(before: Any, after: Any, *, intersections: bool = False) -> Comparis
     -------
     ComparisonRecord, the figures of ``msal compare``.  With the same faces: displacement, angles
     between face normals in degrees (mean: the MSAE of the literature), vertex error in % of the
-    mean edge length, flipped faces, change of volume and area; and, whatever the faces are, the
-    distances between the surfaces and the Hausdorff distance, in the unit of the vertices.  What
-    cannot be measured is None, and ``warnings`` says why.
+    mean edge length, flipped faces, change of volume and area; and, with any faces, the surface
+    distances and the Hausdorff distance, in the unit of the vertices.  What cannot be
+    measured is None, and ``warnings`` says why.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def add_noise(
         ``uniform``, ``mixed``, ``impulsive``, ``correlated``, ``view``, ``quantised``,
         ``grazing``, ``half``, ``ramp`` or ``outliers``; docs/commands.md explains them.
     level : standard deviation in mean edge lengths, from 0: greater is noisier.
-    seed : whole number from 0; another one gives other noise of the same kind.
+    seed : whole number from 0; another gives other noise of the same kind.
     fraction : for impulsive and outliers, the share of the vertices that move, 0 to 1; default 0.1.
     rings : averages over one-rings, from 0: more correlates wider, at the same level.  Default 2
         for correlated, else 0.

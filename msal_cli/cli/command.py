@@ -118,7 +118,7 @@ class Command(click.Command):
             # Such as a shell variable that is not set; -o '' would be the current folder.
             if "" in values:
                 raise click.BadParameter("it is empty", ctx, parameter)
-            # Click takes everything behind the letter of -o=OUT as the value.
+            # Click takes everything after the letter of -o=OUT as the value.
             for name in map(str, values if "-o" in parameter.opts else ()):
                 if name.startswith("="):
                     reason = f"{name!r} begins with '=': write -o OUT, or ./{name} for this name"

@@ -198,7 +198,7 @@ def read_input(
 ) -> Buffer:
     """The bytes of an input file, unless its size and beginning show that it is no mesh.
 
-    ``format`` is the format's name, over the suffix; ``size`` is the size of an object behind a
+    ``format`` is the format's name, over the suffix; ``size`` is the size of an object at a
     URL, if known.
 
     Raises InputError (``E_READ``) if the system cannot read it; FormatError, TruncatedError,

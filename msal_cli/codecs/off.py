@@ -53,7 +53,7 @@ def parse(data: Buffer) -> Layout:
     # Counts may be on one line or on several, and the third may be missing.
     is_vertex = len(words) > 3 and words.lines[1] < words.lines[2] == words.lines[3]
     n_counts = 2 if is_vertex else min(3, len(words))
-    at, lengths, n_behind = _find_lines(words, n_counts, n_vertices, n_faces)
+    at, lengths, n_trailing = _find_lines(words, n_counts, n_vertices, n_faces)
     first, at = at[n_vertices:], at[:n_vertices]
     n_extra = int(lengths[:n_vertices].min()) - 3 if n_vertices else 0
     if n_extra < 0:
@@ -62,7 +62,7 @@ def parse(data: Buffer) -> Layout:
         where = words.where(short)
         raise FormatError("a vertex has fewer than three numbers", where=where, hint=hint)
     n_announced = 3 * has_normals + 2 * has_texture + 4 * has_colours
-    if n_behind and n_extra < n_announced - has_colours:
+    if n_trailing and n_extra < n_announced - has_colours:
         raise FormatError(
             "the numbers that the header announces are not on the lines of their vertices",
             where=words.where(int(at[0])),
@@ -94,7 +94,7 @@ def parse(data: Buffer) -> Layout:
     n_small = int(np.count_nonzero(~is_face))
     small = f"{format_count(n_small, 'face')} of fewer than three corners"
     warnings = {
-        f"{format_count(n_behind, 'line')} behind the last face, kept": n_behind,
+        f"{format_count(n_trailing, 'line')} behind the last face, kept": n_trailing,
         f"{format_count(n_extra - n_announced, 'number')} behind each position, kept": (
             n_extra > n_announced or (n_extra and not n_announced)
         ),

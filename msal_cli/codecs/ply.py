@@ -355,7 +355,7 @@ def parse(data: Buffer) -> PlyLayout:
     normals = (sections["vertex"].slots(ply_header.NORMAL),) if has_normals(vertex) else ()
     surface = find_surface(sections, header, vertices)
     rest = content[end:]
-    n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
+    n_trailing = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     warnings = []
     codes = {prop.name: prop.code for prop in vertex.find_all(ply_header.POSITION)}
     if whole := [name for name, code in codes.items() if code[0] != "f"]:
@@ -373,8 +373,8 @@ def parse(data: Buffer) -> PlyLayout:
     if faces is not None and any(faces.find(name) for name in ply_header.NORMAL):
         warnings.append("normals of faces are kept as they are")
     warnings += surface.warnings
-    if n_behind:
-        warnings.append(f"{format_count(n_behind, 'byte')} behind the last element, kept")
+    if n_trailing:
+        warnings.append(f"{format_count(n_trailing, 'byte')} behind the last element, kept")
     types = {"f4": "float32", "f8": "float64"}
     coarsest = next((name for code, name in types.items() if code in codes.values()), "integer")
     return PlyLayout(

@@ -158,9 +158,9 @@ def parse_tree(
         raise UnsupportedError("the XML is UTF-16", where=name, hint="save it as UTF-8")
     try:
         done = 0
-        for begin, behind in left_out:
+        for begin, after in left_out:
             parser.Parse(view[done:begin], False)
-            done = behind
+            done = after
         parser.Parse(view[done:], stop is None)
     except expat.ExpatError as failure:
         line = 1 + bytes(view[: place(parser.ErrorByteIndex)]).count(b"\n")

@@ -57,7 +57,7 @@ class Archive:
         for member in self._zip.infolist():
             self._entries[_key(member.filename)] = at
             at += _ENTRY_SIZE + sum(struct.unpack_from("<3H", self._data, at + 28))
-        self._behind_entries = at
+        self._entries_end = at
         self._end_at = self._find_end(at)
         self._members = {_key(member.filename): member for member in self._zip.infolist()}
         if len(self._members) < len(self._zip.infolist()):
@@ -65,8 +65,8 @@ class Archive:
         # In the order of the file: each member ends where the next one begins.
         ordered = sorted(self._members.values(), key=lambda member: member.header_offset)
         self._stops: dict[str, int] = {}
-        behind = [member.header_offset for member in ordered[1:]]
-        for member, stop in zip(ordered, [*behind, self._central_at], strict=False):
+        starts = [member.header_offset for member in ordered[1:]]
+        for member, stop in zip(ordered, [*starts, self._central_at], strict=False):
             self._stops[member.filename] = stop
             if self._data_at(member) + member.compress_size > stop:
                 raise errors.damaged(
@@ -82,7 +82,7 @@ class Archive:
         if self._data[at : at + 4] != _END or at + _END_SIZE > len(self._data):
             raise errors.damaged("no end record follows the directory", f"byte {at}")
         disk, first_disk, here, count = struct.unpack_from("<4H", self._data, at + 4)
-        if at == self._behind_entries and (disk or first_disk or here != count):
+        if at == self._entries_end and (disk or first_disk or here != count):
             raise errors.UnsupportedError("the archive is split into several files", hint=_REPACK)
         end = at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0]
         if end > len(self._data):
@@ -168,7 +168,7 @@ class Archive:
                 "the archive would have more than 4 GB", hint="cut the mesh into parts"
             )
         # Shift the offset of the directory in the end records.
-        at, end_at = (k - self._central_at for k in (self._behind_entries, self._end_at))
+        at, end_at = (k - self._central_at for k in (self._entries_end, self._end_at))
         ends = [(at + 48, "<Q"), (end_at - _LOCATOR_SIZE + 8, "<Q")] if at < end_at else []
         if struct.unpack_from("<L", tail, end_at + 16)[0] != _SEE_EXTRA:
             ends.append((end_at + 16, "<L"))

@@ -145,8 +145,8 @@ def choose_weaker(
 
 
 MILDER = (0.5, 0.25, 0.0)
-"""Shares of its noise that a mesh is smoothed for, one after the other, where the chosen method
-would damage it; 0 leaves it as it is."""
+"""Fractions of the noise for which smoothing is tried in turn if the chosen method would damage the
+mesh; 0 leaves it unchanged."""
 
 
 def soften_choice(
