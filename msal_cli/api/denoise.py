@@ -503,10 +503,9 @@ def denoise_folder(
         limits = Limits(timeout, memory_limit)
         check_options(limits, jobs, retries, max_failures)
         gates, settings = _parse(denoise_folder, given)
+        patterns = to_texts(include, "include"), to_texts(exclude, "exclude")
         plan = build_plan(
-            discover_inputs(
-                sources, to_texts(include, "include"), to_texts(exclude, "exclude"), output=target
-            ),
+            discover_inputs(sources, *patterns, output=target),
             target,
             to=settings.to,
             in_place=in_place,

@@ -57,6 +57,7 @@ _ANY_NAME = re.compile(r"\.msal-manifest(?:-\d{1,9}-of-\d{1,9})?\.jsonl")
 _PART = re.compile(r"\d{8}T\d{6}\.\d{6}Z-[0-9a-f]{8}-\d{5,}\.jsonl")
 
 FORMAT = 1
+_IS_UTF8 = sys.getfilesystemencoding() == "utf-8"
 RUN_KINDS = ("run", "end")
 _ENTRY_KINDS = ("intent", "done")
 
@@ -157,7 +158,8 @@ class ManifestEntry:
         """The parsed line; empty if it cannot be read any more."""
         try:
             data = json.loads(self.read_line())
-            data = data if isinstance(self.line, bytes) else _in_locale(data)
+            if not (_IS_UTF8 or isinstance(self.line, bytes)):
+                data = map_texts(data, _to_locale)
             # The shard that owns the file may have rewritten it.
             return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -252,7 +254,7 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
         output = data.get("output") or {}
         at = data.get("at", 0)
         entry = ManifestEntry(
-            name=data["name"] if span is None else _in_locale(data["name"]),
+            name=data["name"] if _IS_UTF8 or span is None else _to_locale(data["name"]),
             is_done=kind == "done",
             at=at if type(at) is int else 0,
             # Equal texts of many lines share one object.
@@ -328,25 +330,18 @@ def encode_line(data: Mapping[str, Any]) -> bytes:
     return text.encode("ascii") + b"\n"
 
 
-def _in_utf8(data: Any) -> Any:
-    """Data with the names of files as an UTF-8 locale has them, so that any other can go on."""
-
-    def to_utf8(name: str) -> str:
-        try:
-            return os.fsencode(name).decode("utf-8", "surrogateescape")
-        except UnicodeError:
-            return name  # another text
-
-    return data if sys.getfilesystemencoding() == "utf-8" else map_texts(data, to_utf8)
+# Names of files are written as a UTF-8 locale has them, so that a run in any other can go on.
 
 
-def _in_locale(data: Any) -> Any:
-    """What ``_in_utf8`` was given."""
+def _to_utf8(name: str) -> str:
+    try:
+        return os.fsencode(name).decode("utf-8", "surrogateescape")
+    except UnicodeError:
+        return name  # another text
 
-    def to_locale(name: str) -> str:
-        return os.fsdecode(name.encode("utf-8", "surrogateescape"))
 
-    return data if sys.getfilesystemencoding() == "utf-8" else map_texts(data, to_locale)
+def _to_locale(name: str) -> str:
+    return os.fsdecode(name.encode("utf-8", "surrogateescape"))
 
 
 def to_builtin(value: Any) -> Any:
@@ -390,7 +385,9 @@ class Manifest:
             return
         self._newest = max(time.time_ns(), self._newest + 1)
         stamped = ({**line, "at": self._newest} for line in new)
-        encoded = [encode_line(line if is_url(self.place) else _in_utf8(line)) for line in stamped]
+        if not (_IS_UTF8 or is_url(self.place)):
+            stamped = (map_texts(line, _to_utf8) for line in stamped)
+        encoded = list(map(encode_line, stamped))
         self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in new))
 
     def open(self) -> None:

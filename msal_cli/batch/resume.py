@@ -8,7 +8,7 @@ import os
 import platform
 import stat
 import time
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -102,7 +102,7 @@ class FileState:
 
 
 def file_states(
-    plan: Plan, by_place: Mapping[str, Manifest], settings: Collection[str], *, threads: int
+    plan: Plan, by_place: Mapping[str, Manifest], settings: set[str], *, threads: int
 ) -> Generator[FileState, None, None]:
     """The state of every task, in the plan's order, by the manifest of each place and the hashes of
     ``settings`` any of which will do.
@@ -132,11 +132,7 @@ def file_states(
 
 class _FreshnessCheck:
     def __init__(
-        self,
-        plan: Plan,
-        by_place: Mapping[str, Manifest],
-        settings: Collection[str],
-        is_stopped: Event,
+        self, plan: Plan, by_place: Mapping[str, Manifest], settings: set[str], is_stopped: Event
     ) -> None:
         self.plan, self.by_place, self.settings = plan, by_place, settings
         self.is_stopped = is_stopped

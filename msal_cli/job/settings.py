@@ -101,13 +101,9 @@ NO_LIMITS = Limits()
 _FIELDS_BYTES_PER_FACE = 64
 # A second set of positions stays until the output is built.
 _OUTLIERS_BYTES_PER_FACE = 12
-
-DISTANCES_BYTES_PER_FACE = 270
-"""Memory per triangle of the larger of two surfaces whose distances are measured: a tree of boxes,
-filled up to a power of two."""
-
-INTERSECTIONS_BYTES_PER_FACE = 1100
-"""The same where faces that intersect are counted; the boxes have nine directions."""
+# Trees of boxes, with nine directions where faces that intersect are counted, filled up to a power
+# of two; measured: 262 per triangle of the larger of two surfaces, and 1,060.
+DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE = 270, 1100
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` by forecast: trying again would not help."""

@@ -57,7 +57,7 @@ class Case:
         plan = Plan((self.task,), **self.options)
         name = manifest_key(self.task)
         manifests = {str(self.folder): SimpleNamespace(get={name: self.entry}.get)}
-        (state,) = resume.file_states(plan, manifests, ["s"], threads=threads)
+        (state,) = resume.file_states(plan, manifests, {"s"}, threads=threads)
         return state
 
     def todo(self):
@@ -152,7 +152,7 @@ def test_objects_are_compared_by_their_tags(case, now, is_current):
     case.options["objects"] = {} if now is None else {output: now}
     plan = Plan((case.task,), **case.options)
     manifests = {"memory://store": SimpleNamespace(get=lambda name: case.entry)}
-    (state,) = resume.file_states(plan, manifests, ["s"], threads=1)
+    (state,) = resume.file_states(plan, manifests, {"s"}, threads=1)
     assert (state.record is not None) == is_current
 
 
@@ -176,7 +176,7 @@ def test_equal_methods_are_one_and_states_come_in_order(tmp_path):
     plan = Plan(tuple(tasks))
     manifests = {str(tmp_path): entries}
     for threads in (1, 3):
-        states = list(resume.file_states(plan, manifests, ["s"], threads=threads))
+        states = list(resume.file_states(plan, manifests, {"s"}, threads=threads))
         assert [state.index for state in states] == list(range(100))
         assert [state.record.input for state in states] == [task.input for task in tasks]
         assert len({id(state.record.method) for state in states}) == 1
