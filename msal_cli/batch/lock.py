@@ -26,7 +26,7 @@ import random
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from msal_cli.errors import OutputError, UsageError
@@ -112,12 +112,7 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
                 return
             self.release()
             if not tries_left:
-                raise UsageError(
-                    f"{rival} is already working on the folder {folder!r}",
-                    hint="wait until it is done, stop it, or choose another output folder",
-                    path=folder,
-                    code="E_LOCKED",
-                )
+                raise _locked(folder, rival)
             time.sleep(random.uniform(*_PAUSE_S))
 
     def __exit__(self, *failure: object) -> None:
@@ -171,6 +166,22 @@ def lock_owners(folder: str) -> tuple[str, ...]:
         with contextlib.suppress(OutputError):
             owners.append(_find_owner(path))
     return tuple(filter(None, owners))
+
+
+def refuse_locked(folders: Iterable[str]) -> None:
+    """Refuse folders that another run has locked; UsageError (``E_LOCKED``)."""
+    for folder in folders:
+        for owner in lock_owners(folder):
+            raise _locked(folder, owner)
+
+
+def _locked(folder: str, owner: str) -> UsageError:
+    return UsageError(
+        f"{owner} is already working on the folder {folder!r}",
+        hint="wait until it is done, stop it, or choose another output folder",
+        path=folder,
+        code="E_LOCKED",
+    )
 
 
 def _read_owner(handle: int) -> tuple[str, str]:

@@ -16,7 +16,7 @@ from threading import Event
 from typing import Any
 
 from msal_cli.batch import manifest as manifests
-from msal_cli.batch.lock import Shard
+from msal_cli.batch.lock import Shard, refuse_locked
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.errors import OutputError, UsageError
@@ -303,6 +303,11 @@ class Journal:
         }
         for place in self._plan.folders():
             self.manifests[place] = opened.get(place) or manifests.open_folder(place, stack, shard)
+        # A run in place locks the folder that was named, and its files may be those of another run,
+        # on a folder above or within it.
+        in_place = {os.path.dirname(os.path.realpath(t.output)) for t in tasks if t.in_place}
+        above = {str(path) for name in in_place for path in (Path(name), *Path(name).parents)}
+        refuse_locked(sorted(above - set(map(os.path.realpath, self.manifests))))
         todo, restored = self.find_outdated(on_done)
         for manifest in self.manifests.values():
             manifest.open()

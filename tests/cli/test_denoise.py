@@ -12,6 +12,7 @@ from jsonschema import Draft202012Validator
 from msal_cli import codecs, methods
 from msal_cli.batch import run as run_module
 from msal_cli.batch.interrupts import Terminated
+from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.schedule import Finished
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
@@ -67,11 +68,12 @@ def test_the_schedules_offered_are_those_of_the_methods():
 def test_in_place_folders_within_one_another_know_what_was_done(tmp_path):
     scan = folder_of(tmp_path / "in/sub", a=closed_scan()) / "a.ply"
     options = ("--in-place", "--no-backup", "--method", "al")
-    results = []
-    for place in (scan.parent, scan.parent.parent, scan):
-        assert msal("denoise", place, *options).exit_code == 0
-        results.append(scan.read_bytes())
-    assert results == 3 * [results[0]] and results[0] != closed_scan()
+    places = (scan.parent, scan.parent.parent, scan)
+    for locked, place in (places[:2], places[1:]):
+        with FolderLock(str(locked)):
+            assert msal("denoise", place, *options).exit_code == 2
+    results = [(msal("denoise", place, *options).exit_code, scan.read_bytes()) for place in places]
+    assert results == 3 * [(0, results[0][1])] and results[0][1] != closed_scan()
 
 
 # Dry run
