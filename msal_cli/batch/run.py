@@ -322,16 +322,15 @@ def check_options(
     """Raise UsageError for limits that are too small for any file, and for invalid numbers."""
     given = {"timeout": limits.timeout_s, "memory_limit": limits.memory_bytes, "jobs": jobs}
     given |= {"retries": retries, "max_failures": stop_after_failures}
+    minimums = {"jobs": 1, "retries": 0, "max_failures": 1}
     for name, value in given.items():
         if not isinstance(value, numbers.Real | None):
             raise UsageError(
                 f"{name} is {value!r}, and must be a number",
                 hint="a timeout is in seconds, a memory limit in bytes",
             )
-    counts = (("jobs", jobs, 1), ("failures to stop after", stop_after_failures, 1))
-    for what, value, minimum in (*counts, ("retries", retries, 0)):
-        if value is not None and value < minimum:
-            raise UsageError(f"the number of {what} must be at least {minimum}, not {value}")
+        if value is not None and value < minimums.get(name, value):
+            raise UsageError(f"{name} is {value}, and must be at least {minimums[name]}")
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:

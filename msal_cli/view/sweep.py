@@ -107,8 +107,7 @@ def grid(
             )
         spec = method.spec(name.strip())
         if spec.name in taken:
-            hint = "let it vary or set it, not both"
-            raise UsageError(f"{spec.name} is set in two places", hint=hint)
+            raise UsageError(f"{spec.name} is set in two places", hint="give it once")
         taken.add(spec.name)
         axes[spec.name] = tuple(spec.validate(word) for word in words)
         if len(set(axes[spec.name])) < len(words):
