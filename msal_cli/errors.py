@@ -56,8 +56,7 @@ class MsalError(Exception):
 
 
 class UsageError(MsalError):
-    """Wrong use or configuration, or another run holds the lock (``E_LOCKED``); raised before any
-    work."""
+    """Wrong use or configuration, or another run at work (``E_LOCKED``); raised before any work."""
 
     code = "E_USAGE"
 

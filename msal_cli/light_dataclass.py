@@ -1,8 +1,8 @@
 """A ``dataclass`` decorator whose classes share their methods, for a quick start.
 
 ``dataclasses.dataclass`` compiles six methods for each frozen class, which takes half a millisecond
-for each of a hundred classes.  Here the methods are loops over the fields, and each object costs
-some microseconds more.
+for each of a hundred classes.  Here they are loops over the fields, and objects cost some
+microseconds more.
 """
 
 import dataclasses

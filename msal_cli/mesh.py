@@ -72,8 +72,7 @@ class Mesh:
         return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
-        """Unit vertex normals (n, 3), averaged over the one-ring ``mollify`` times; zeros for no
-        normal.
+        """Unit vertex normals (n, 3), averaged ``mollify`` times; zeros for no normal.
 
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  The
         array is computed once and shared: do not write to it.

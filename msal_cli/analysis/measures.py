@@ -23,8 +23,7 @@ FLAT = 1e-9
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Mean, root mean square, 95th percentile and maximum of distances, file units, and how many
-    are not 0."""
+    """Mean, root mean square, 95th percentile and maximum of distances; count above 0."""
 
     mean: float
     rms: float
@@ -48,8 +47,7 @@ def distance_statistics(lengths: Floats) -> DistanceStatistics:
 
 
 def displacement(before: Mesh, after: Mesh) -> DistanceStatistics:
-    """Distances between corresponding vertices of two meshes with the same faces, without unused
-    vertices."""
+    """Distances between corresponding used vertices of two meshes with the same faces."""
     lengths, is_used = geometry.distances(before.vertices, after.vertices), before.topology.has_ring
     return distance_statistics(lengths if is_used.all() else lengths[is_used])
 
@@ -227,8 +225,7 @@ SAMPLED_POINTS = 1_000_000
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
-    """The nearest triangle of ``surface`` to each point (n, 3), and its distance, file units, (n,)
-    each."""
+    """The nearest triangle of ``surface`` to each point (n, 3), and its distance, file units."""
     from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(surface.vertices).max()))
@@ -474,8 +471,7 @@ class Harm:
 def harmful_change(
     before: Mesh, after: Mesh, change: SurfaceChange, *, has_volume: bool
 ) -> Harm | None:
-    """The change between two meshes with the same faces if it is harm at any level of noise, or
-    None.
+    """The change between two meshes with the same faces if it is harm at any level of noise.
 
     Parameters
     ----------

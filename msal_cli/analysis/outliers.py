@@ -32,8 +32,7 @@ BOUND = 1.3
 
 USUAL, STEP, MAX_STEPS = 0.0005, 0.17, 0.8
 """The more outliers there are, the more likely a vertex is one: the bound is reduced by ``STEP``
-times the logarithm of their share over ``USUAL``, by ``MAX_STEPS`` at most, unless they may be
-noise."""
+times the logarithm of their share over ``USUAL``, up to ``MAX_STEPS``, unless they may be noise."""
 
 MAX_PASSES = 12
 """Adjacent spikes mask one another, so each pass takes only those with locally maximal scores."""

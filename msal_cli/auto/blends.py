@@ -197,8 +197,7 @@ class Case:
 
     mesh: Mesh  # with its triangles relaxed by ``relax`` passes, for isotropic noise
     model: NoiseModel  # the noise, along the normals or an axis
-    # local, levels: local level of noise (n,), and levels with their own weights, empty for uniform
-    # noise
+    # local, levels: local levels (n,), and those with their own weights; empty for uniform noise
     local: Floats
     levels: tuple[float, ...]
     relax: int
@@ -355,8 +354,7 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | No
 
 
 # More smoothing than the choice.  The choice is made once, without the wish.  The weight of the
-# filter that is mixed in is found by the displacements of the mixture, so more strength moves
-# vertices farther.
+# filter that is mixed in is found by the displacements of the mixture, so strength always counts.
 
 MORE = 0.03
 """Relative increase of the displacements for each step of ``Wishes.strength`` above 0.  Then the

@@ -133,12 +133,11 @@ FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
 lengths, the second above.  With 10 the angle is 1 % smaller; weak noise is gone after four."""
 
 SHARED_SWEEPS = 10
-"""Sweeps for correlated noise: angles are 2 % smaller than with six, and 1 % larger than with
-20."""
+"""Sweeps for correlated noise: angles are 2 % smaller than with 6, and 1 % larger than with 20."""
 
 
 def wiener_al(level: float, rings: int = 0) -> Candidate:
-    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths correlated over
+    """AL with the Wiener schedule, for noise of ``level`` edge lengths correlated over
     ``rings``."""
     sweeps = SWEEPS if level > FAIR_EDGES else FEW_SWEEPS
     given = {

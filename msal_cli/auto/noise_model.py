@@ -91,8 +91,7 @@ class NoiseModel:
         return np.asarray(self.level * shares[:, None])
 
     def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
-        """A sample of displacements (n, 3), file units; ``normals`` (n, 3) are those without
-        noise."""
+        """A sample of displacements (n, 3), file units, for ``normals`` (n, 3) without noise."""
         count = 3 if self.direction == ISOTROPIC else 1
         n = len(mesh.vertices)
         fields = [

@@ -151,8 +151,7 @@ def _gram(rows: Floats) -> Floats:
 
 
 class SimulatedRisk:
-    """Runs filters on a simulated mesh: ``pilot`` (m, 3), the positions taken as truth, with
-    ``noise``.
+    """Runs filters on a simulated mesh: ``pilot`` (m, 3), taken as truth, with ``noise``.
 
     ``added`` is what is added to the pilot: a sample of the noise (``DRAWN``), or what the pilot
     removed, with the opposite sign (``MIRRORED``).

@@ -77,9 +77,8 @@ def select_patch(mesh: Mesh, most: int) -> Part:
 def _grow(
     order: NDArray[np.int64], start: int, size: int, links: Connectivity, inside: Flags
 ) -> None:
-    """Mark ``size`` more vertices as ``inside`` (n,) by breadth-first search from the first
-    unmarked vertex in ``order``, from index ``start`` on, and from the next if its component
-    ends."""
+    """Mark ``size`` more vertices as ``inside`` (n,) by breadth-first search from unmarked ones in
+    ``order``, from index ``start`` on."""
     marked, place = 0, 0
     while marked < size:
         while place < len(order) and inside[order[(start + place) % len(order)]]:

@@ -233,8 +233,7 @@ class _Search:
 
     @property
     def _is_drawn(self) -> bool:
-        """Whether samples of the model resemble the noise: all of it is white, as far as is
-        known."""
+        """Whether samples of the model resemble the noise, which seems to be all white."""
         noise = self.noise
         is_weak = noise.mean_edges < WEAK and self._width > SURE and not noise.is_uneven
         is_range_scan = is_weak and is_seen_from_one_side(self.mesh)
@@ -277,8 +276,7 @@ class _Search:
         return score
 
     def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
-        """The best weights (k,), rounded, without small ones, of members that cost ``most_cost`` at
-        most."""
+        """The best weights (k,), rounded, without small ones, of members up to ``most_cost``."""
         costs = np.array([member.cost for member in members])
         kept = list(range(len(members)))
         while True:

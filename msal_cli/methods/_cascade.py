@@ -9,7 +9,7 @@ As evidence, fast filters, each of which is good on some surfaces, give a normal
 of 0.1 and 0.03, which reach farther than the neighbours that a face is described by.  In addition
 each face gets features of its surroundings, a dozen edges wide: the power of the ripples of the
 scan over that of white noise of the same level, the share of shape in what the sweeps removed, and
-the power of that shape.
+its power.
 """
 
 import functools
@@ -64,8 +64,7 @@ DOUBT = 0.01
 
 
 class Cascade:
-    """The stages for one mesh: descriptors at the current positions, and vertices fitted to new
-    normals.
+    """The stages for one mesh: descriptors at current positions, and vertices fitted to normals.
 
     Parameters
     ----------
@@ -92,8 +91,7 @@ class Cascade:
         self._describer: NormalDescriber | None = None
 
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
-        """The descriptors of all faces with the vertices at ``positions`` (n, 3), in the first call
-        those of the scan.
+        """The descriptors of all faces at ``positions`` (n, 3), first those of the scan.
 
         ``earlier`` are the normals (m, 3) of the stage before; None for the first one.  The next
         call overwrites the result.
@@ -121,8 +119,7 @@ class Cascade:
 
 
 def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
-    """Positions (n, 3) with shape restored that a filter removed from ``mesh`` with the white
-    noise.
+    """Positions (n, 3) with shape restored that a filter removed from ``mesh`` with noise.
 
     The residual of ``restoration`` is the normal displacement by the filter.  ``noise``, in mean
     edge lengths, is increased where the finest ripples of the residual are stronger than the mean:
@@ -180,8 +177,7 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
 
 
 def _check_sizes(stages: list[list[int]], count: int) -> None:
-    """Raise InternalError for layers of other sizes than the descriptors, which the kernels do not
-    check."""
+    """Raise InternalError for layers of other sizes than the descriptors; kernels do not check."""
     expected = 0
     for stage, sizes in enumerate(stages):
         vectors = count_vectors(stage)
@@ -244,8 +240,7 @@ def _guess_level(mesh: Mesh) -> float:
 
 
 def _measure_surroundings(mesh: Mesh, ripples: Floats, restored: Restored, unit: float) -> Floats32:
-    """Features from 0 to 1 of the surroundings of each face (m, STATISTICS); ``unit`` is the level
-    of noise, file units."""
+    """Features from 0 to 1 of the surroundings of faces (m, STATISTICS), for noise ``unit``."""
     rows = mesh.topology.one_ring
     powers = np.column_stack([ripples[:, :3], restored.returned])
     powers = average_around(powers * powers, *rows, AROUND)

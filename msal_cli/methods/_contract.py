@@ -152,8 +152,7 @@ class Method:
     def bytes_per_face(self) -> int:
         """Peak memory in bytes per triangle beyond what each method needs.
 
-        Measured by benchmarks/peak_memory.py at the default parameters; 0 if reading and measuring
-        a mesh takes as much.
+        Measured by benchmarks/peak_memory.py at the defaults; 0 if reading a mesh takes as much.
         """
         return int(getattr(self.module, "BYTES_PER_FACE", 0))
 
@@ -207,8 +206,7 @@ class Method:
         return float(getattr(self.module.Parameters(**parameters), "most_noise_edges", math.inf))
 
     def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:
-        """Whether lambda is scaled by the largest sigma (eq. 7), which a single spike may
-        determine."""
+        """Whether lambda is scaled by the largest sigma (eq. 7), which may be that of a spike."""
         return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
 
     def denoise(

@@ -61,8 +61,7 @@ def run(
     on_sweep: OnSweep,
     normal_passes: int | None = None,
 ) -> Result:
-    """Run both stages: ``filtered_normals`` returns normals (m, 3), to which the vertices are
-    fitted.
+    """Run both stages: ``filtered_normals`` returns normals (m, 3), and vertices are fitted.
 
     It counts each of its ``normal_passes``, ``iterations`` by default, on its argument.
     """

@@ -57,16 +57,14 @@ def undo_sliding(
 FACING = (0.3, 0.5)
 """Absolute cosines of normals to the line at which vertices begin to move to it, and from which
 they do so fully.  Vertices of steep faces would move far for little, and a sharp limit would
-separate neighbours.  With a lower end of 0.2 angles are up to 10 % greater on 33 simulated scans,
-with 0.5 they are not."""
+separate neighbours.  With 0.2 angles are up to 10 % greater on 33 simulated scans, with 0.5 not."""
 
 
 def move_to_lines(mesh: Mesh, positions: Floats, line: Floats) -> Floats:
     """The result (n, 3) of a filter with each vertex moved within its tangent plane to the line
     through its scanned position along the unit vector ``line`` (3,).
 
-    Noise along the view of a scanner leaves vertices on such lines, and filters move them along
-    normals, or anywhere.
+    Noise along the view of a scanner leaves vertices on such lines, and filters move them off.
     """
     normals = mesh.with_vertices(positions).vertex_normals()
     cosines = normals @ line

@@ -19,8 +19,7 @@ from msal_cli.methods._contract import OnSweep, Result, Timer
 
 @dataclass(frozen=True)
 class NormalParameters:
-    """Iterations, and the vertex normals along which heights, and sigma of eq. (4), are
-    measured."""
+    """Iterations, and the vertex normals along which heights and sigma of eq. (4) are measured."""
 
     iterations: int = fields.iterations(
         4,

@@ -23,7 +23,7 @@ that is mostly flat is left alone.
 
 Own choices: lambda follows the noise, tau is an area in squared mean edge lengths, or the vertex's
 limit of stability if that is smaller, averages are weighted by |V_A|, not by angles, so that a fold
-cannot throw its neighbours out, and f is measured anew at every step.
+cannot throw its neighbours out, and f is updated at every step.
 
 ``schedule`` works with both variants.  Boundary vertices are fixed; with ``boundary=free`` they
 move by the edges that have two faces.  Open and non-manifold edges have no curvature.  A step costs

@@ -16,8 +16,8 @@ than ``al``, at a little more cost.
 
 ``variant=fleishman`` is the filter of Fleishman, Drori and Cohen-Or: the neighbours are the vertex
 itself and those within the radius rho, reached along edges within it, at most 2,048 beyond the
-one-ring; the normals are measured anew before every sweep, without mollification, and sigma_s is
-the standard deviation of |h|. sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other
+one-ring; the normals are updated before every sweep, without mollification, and sigma_s is the
+standard deviation of |h|. sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other
 follows.  With neither, sigma_c is the length of each vertex's shortest edge, the rule of the public
 implementation that later papers compare with.  It hardly smooths a vertex that has one very short
 edge: on uneven triangles give ``closeness=1``, which smooths more and shrinks more.

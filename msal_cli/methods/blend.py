@@ -9,13 +9,13 @@ their mean has a smaller error than the best of them; ``--auto`` finds good weig
 
     0.6*guided_normal(similarity=0.45,iterations=5)+0.4*al(iterations=3)
 
-of methods with those of their parameters that are not at their defaults.  Every member runs on the
-same input: the time is that of all together, the memory that of the one that needs most.  One
-member of weight 1 is that method, to the last bit.
+of methods with those of their parameters that are not at their defaults.  All members run on the
+same input: times add up, the memory is that of the largest.  One member of weight 1 is that method,
+to the last bit.
 
 Where the noise is not the same everywhere, weights may follow it: with ``levels=0.02:0.25`` a
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
-on, and in between in proportion.
+on, linear in between.
 
 ``share`` is the part of these displacements that is applied: x_i <- v_i + share (x_i - v_i).
 ``relax`` passes even out triangles within the tangent planes before the members run.  Isotropic
@@ -131,8 +131,7 @@ def parse_line(text: str) -> Floats | None:
 
 
 def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
-    """Parse members, with one weight for each of ``n_levels``, or a single one for 0; UsageError
-    says what is wrong."""
+    """Parse members, with one weight for each of ``n_levels``, or a single one for 0."""
     from msal_cli import methods
 
     found: list[Member] = []

@@ -17,8 +17,8 @@ after which ``vertex_iterations`` passes fit the vertices,
 
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 
-and all but the neighbourhoods is measured anew, also the mean distance of the centroids of faces
-that share an edge, the unit of sigma_s.
+and everything except the neighbourhoods is updated, also the mean distance of the centroids of
+faces that share an edge, the unit of sigma_s.
 
 Faces are near within ``radius``, in that unit too, joined to the face through others that are; at
 most 64.  Take sigma_r 0.2 to 0.3 and up to 60 iterations for machined parts, 0.45 and 5 for organic

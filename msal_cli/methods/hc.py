@@ -7,11 +7,11 @@ scanned and previous positions, averages it over the neighbourhood, and subtract
     b_i = p_i - (alpha o_i + (1 - alpha) q_i)
     q_i <- p_i - (beta b_i + (1 - beta) (1 / m_i) sum(b_k))
 
-with o the scanned and q the previous positions, all vertices at once.  A correction that the
-neighbours share is shape and comes back, one that differs is noise and goes. beta above one half
-makes the iteration converge; alpha above zero keeps texture.  It does well on organic shapes and
-fine texture where angles matter.  It knows no edges, and vertices slide along the surface, farther
-than after ``al`` or ``msal``.
+with o the scanned and q the previous positions, all vertices at once.  The common part of
+neighbouring displacements is shape and is restored, the rest is noise and is removed.  beta above
+one half makes the iteration converge; alpha above zero keeps texture.  It does well on organic
+shapes and fine texture where angles matter.  It knows no edges, and vertices slide along the
+surface, farther than after ``al`` or ``msal``.
 
 An iteration costs two passes over the edges.
 

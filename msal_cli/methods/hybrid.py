@@ -12,7 +12,7 @@ thresholds and the steps are own.
    highest group whose spread is that of an edge sharper than ``crease_angle_deg``, and that have a
    neighbour of their kind, are features; all others are flat.
 3. Features go on from the second copy, whose edges are sharp still, flat vertices from the first.
-   At sweep j = 0, 1, ... from here, with normals n measured anew:
+   At sweep j = 0, 1, ... from here, with updated normals n:
 
        feature   x_i <- x_i + K^j mean(n_k ((x_k - x_i) . n_k))
        flat      x_i <- x_i + 1/2 (u_i - 1/2 mean(u_k)) n_i + 1/2 r t_i

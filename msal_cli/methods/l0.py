@@ -14,9 +14,9 @@ by an auxiliary delta for each edge, in steps between which beta grows from 0.00
     alpha <- alpha / (growth of beta)^2
 
 The positions come from a sparse linear system, solved by conjugate gradients to 1e-5 mean edge
-lengths.  D is made anew before each step.  lambda = ``sparsity`` gamma e^2 and
-alpha = ``regularity`` gamma, with the mean edge length e and the mean dihedral angle gamma of the
-input in radians, so that both follow the noise; angles count without their sign.
+lengths.  D is updated before each step.  lambda = ``sparsity`` gamma e^2 and alpha = ``regularity``
+gamma, with the mean edge length e and the mean dihedral angle gamma of the input in radians, so
+that both follow the noise; angles count without their sign.
 
 It gives the sharpest edges and corners of all where the object is a polyhedron, and turns every
 curved part into facets; for these and for texture use another method.  Under heavy noise thin parts
@@ -47,8 +47,7 @@ TOLERANCE = 1e-5
 """Accuracy of solutions, mean edge lengths; 1e-8 has the same results at three times the cost."""
 
 MAX_ITERATIONS = 100
-"""Largest number of conjugate gradient iterations in a step; noise of 0.3 mean edge lengths needs
-up to 84."""
+"""Largest number of conjugate gradient iterations in a step; noise of 0.3 needs up to 84."""
 
 BYTES_PER_FACE = 455
 

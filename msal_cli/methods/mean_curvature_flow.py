@@ -9,13 +9,12 @@ the area A_i that belongs to a vertex
     implicit:  (M + tau L) X' = M X,  M = diag(A),  (L X)_i = sum(w_ik (x_i - x_k)) / 2
 
 Unlike the umbrella it moves no vertex within a flat part, however irregular the triangles. tau is
-an area, ``time_step`` times the square of the mean edge length.  The explicit step measures w and A
-anew at every sweep; where triangles are small or flat a vertex takes its own limit t_i.  The
-implicit step is stable for every tau: one long step does the work of many sweeps.  It keeps L from
-the input and measures M anew, the flow without singularities of Kazhdan and others; measuring L
-anew pinches under long flow.  One implicit step of ``time_step=1`` with ``boundary=free`` is the
-implicit fairing that others quote; two steps of 0.25 leave no more noise, and three quarters of its
-vertex error.
+an area, ``time_step`` times the square of the mean edge length.  The explicit step updates w and A
+at every sweep; where triangles are small or flat a vertex takes its own limit t_i.  The implicit
+step is stable for every tau: one long step does the work of many sweeps.  It keeps L from the input
+and updates M, the flow without singularities of Kazhdan and others; updating L pinches under long
+flow.  One implicit step of ``time_step=1`` with ``boundary=free`` is the implicit fairing that
+others quote; two steps of 0.25 leave no more noise, and three quarters of its vertex error.
 
 It smears edges and shrinks the surface, the more so the longer it flows.  ``volume=restore``
 scales a closed surface back about its centre of mass, once at the end.  ``schedule`` works with

@@ -7,7 +7,7 @@ to where it was scanned, the more so the rougher its surroundings:
     tau = K^j at sweep j = 0, 1, ...                    eq. (6)
     lambda_i = sigma_i / max sigma                      eq. (7)
 
-sigma (eq. 4) and lambda are computed anew at every sweep.  Flat regions are smoothed, texture is
+sigma (eq. 4) and lambda are updated at every sweep.  Flat regions are smoothed, texture is
 recaptured, and the volume shrinks far less than under AL. It is at its best for fine texture with
 noise up to about a tenth of the mean edge length; for strong noise choose a larger K, or ``al``.
 Many sweeps lead back to the input: four are a stable default.

@@ -20,9 +20,8 @@ that it follows the noise.  On rounded shapes take ``similarity=0.5`` and ``norm
 which are better by half a degree and more.  A mesh without noise and with flat parts has mu = 0 and
 stays as it is.
 
-It looks at no faces but those across an edge, and reaches far by many steps.  Fine texture goes;
-use ``msal`` there.  This is the paper's scheme, not its discretisation, which is one for level
-sets.
+It compares faces only across edges, and reaches far by many steps.  Fine texture goes; use ``msal``
+there.  This is the paper's scheme, not its discretisation, which is one for level sets.
 
 Boundary vertices are fixed.
 

@@ -7,9 +7,9 @@ to ``pass_band`` and falls off beyond, the faster the more iterations:
     x <- sum over j of c_j T_j(x),   T_j Chebyshev polynomials of the umbrella operator
 
 A wave of length L edges has k = (2 pi / L)^2 / 4 or so: a pass band of 0.1 keeps waves of ten edges
-and more, 0.01 those of thirty.  Noise that neighbours share goes with a small pass band, which
-``taubin`` would need hundreds of steps for.  The surface does not shrink.  Edges are rounded to the
-length of the waves that are kept, and may ring a little; vertices slide along the surface.
+and more, 0.01 those of thirty.  A small pass band, for which ``taubin`` would need hundreds of
+steps, removes correlated noise.  The surface does not shrink.  Edges are rounded to the length of
+the waves that are kept, and may ring a little; vertices slide along the surface.
 
 Pass band and iterations mean the same as in the filter of this name of VTK, and the result agrees
 with its default window within a thousandth of the displacements.  An iteration costs one pass over

@@ -109,9 +109,8 @@ NAMED = 0.5
 
 PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
 """Smallest probabilities with which correlated noise is reported, because filters for it would
-smooth relief: if wide fits leave the same residual everywhere and the misfit is below
-``PLAIN_MISFIT``; by default; and if smooth relief would leave the same residuals, or at misfits
-above ``POOR_MISFIT``."""
+smooth relief: if wide fits leave the same residual everywhere at misfits below ``PLAIN_MISFIT``; by
+default; and for residuals like those of smooth relief, or misfits above ``POOR_MISFIT``."""
 
 PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
 """Misfits of the levels by scale: below the first one correlated noise explains them, above the
@@ -208,8 +207,7 @@ PASSES = 20
 """Averages over one-rings: they cover about sixty vertices, enough for an error of a tenth."""
 
 MIN_HEIGHT = 0.01
-"""Mean edge lengths added to each height before the logarithm, so that small ones do not
-dominate."""
+"""Mean edge lengths added to heights before the logarithm, so that small ones count less."""
 
 
 _LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
@@ -355,8 +353,7 @@ def measured_level(numbers: Floats, kind: str, rings: int) -> float:
 
 
 def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
-    """Classify the noise by the features (k,) of a mesh.  Kinds less probable than in ``least`` are
-    excluded."""
+    """Classify the noise by the features (k,) of a mesh.  Kinds below ``least`` are excluded."""
     trained = load_classifier()
     sums = trained.sharpness * trained.kinds.evaluate(numbers)
     sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
@@ -486,8 +483,7 @@ def characterize(mesh: Mesh) -> Estimate:
 
 
 def _is_in_pieces(mesh: Mesh) -> bool:
-    """Whether most vertices are in components of fewer than ``MIN_VERTICES``: convex pieces,
-    say."""
+    """Whether most vertices are in components of fewer than ``MIN_VERTICES``."""
     labels = component_labels(len(mesh.vertices), mesh.faces)[mesh.topology.has_ring]
     sizes = np.bincount(labels)
     return bool(sizes[sizes < MIN_VERTICES].sum() > 0.5 * len(labels))
@@ -566,8 +562,7 @@ def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
 
 
 def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -> bool:
-    """Whether hardly any edge is flat that such noise would have bent, or rounding explains
-    them."""
+    """Whether few edges are flat that such noise would have bent, or rounding explains them."""
     if is_named and verdict.kind == "view" and evidence.axis is not None:
         is_open = mesh.topology.boundary.mean() > MAX_OPEN
         return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)

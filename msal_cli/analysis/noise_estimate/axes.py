@@ -154,8 +154,7 @@ class Groups:
     counts: Floats  # (g,) number of places
 
     def misfit(self, axis: Floats | None) -> float:
-        """Mean error of the logarithms of the levels for noise along an axis; None for the
-        normals."""
+        """Mean error of the logarithms of the levels for noise along an axis, or the normals."""
         if axis is None:
             return self.misfit_of(np.ones(len(self.levels)))
         return self.misfit_of(self.cosines(axis[None])[0])
@@ -275,8 +274,7 @@ def _main_axis(groups: Groups) -> Floats:
 
 
 def find_main_offset(offsets: Floats) -> Floats:
-    """Principal axis of the offsets (c, 3) from the means of the one-rings; long ones are
-    clipped."""
+    """Principal axis of the offsets (c, 3) from the means of the one-rings, clipped."""
     lengths = np.sqrt((offsets * offsets).sum(axis=1))
     most = 2.0 * median(lengths)
     clipped = offsets * (np.minimum(lengths, most) / np.maximum(lengths, 1e-300))[:, None]
@@ -408,7 +406,7 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
         # Along the diagonals of voxels steps are shorter than along their edges.
         tried = [(_axis_steps(differences @ turn.T), turn) for turn in _find_frames(directions)]
-        steps, frame = max(tried, key=lambda one: min(one[0]), default=(steps, frame))
+        steps, frame = max(tried, key=lambda candidate: min(candidate[0]), default=(steps, frame))
         if not all(steps):
             axis = _find_step_axis(differences, directions)
             if axis is None:

@@ -380,8 +380,7 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     colour = find_colour(survey, fine=white.level.mean_edges)
     linked = fitted = axis = axis_colour = None
     if groups is not None:
-        # The axis of the largest tangential displacements, and the one that fits the variances
-        # best.
+        # The axes of the largest tangential displacements, and of the best fit of variances.
         linked = weigh_axis(survey, groups, find_main_offset(survey.offsets))
         fitted = find_axis(survey, groups)
         axis = linked if linked.is_linked or fitted is None else fitted

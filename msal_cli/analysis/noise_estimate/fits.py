@@ -199,8 +199,7 @@ VERTICES_PER_PATCH = 12
 then cover each vertex once or twice, and more of them would add little."""
 
 FLATTEST = 0.2
-"""Share of the places that counts as flat: smaller ones measure patched holes, larger ones
-texture."""
+"""Share of places that counts as flat: smaller ones measure patched holes, larger ones texture."""
 
 MARGIN = 1.03
 """Factor of the levels by fits over one-rings, which scatter because they have few degrees of
@@ -372,8 +371,7 @@ def _without_texture(best: float, coarse: float) -> float:
 def _measure_regions(
     fits: Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool
 ) -> Floats:
-    """Level of each region (r,), file units; ``level`` is that of the mesh, and of regions with few
-    places."""
+    """Level of each region (r,), file units; ``level`` is that of the mesh."""
     # With impulses hardly any place is without a spike, so the quantile is the median.
     share = 0.5 if is_impulsive else FLATTEST
 

@@ -179,8 +179,7 @@ class Waves:
         return Waves(self.rows, self.squares - squares, self.both - both)
 
     def find_best(self, rest: Floats32) -> int:
-        """Index of the wave that explains most of the squared ``rest`` (k,), orthogonal to
-        those."""
+        """Index of the wave that explains most of the squared residual ``rest`` (k,)."""
         (even, odd), (even_square, odd_square) = self.rows @ rest, self.squares
         size = even_square * odd_square - self.both * self.both
         gained = even**2 * odd_square - 2.0 * even * odd * self.both + odd**2 * even_square
