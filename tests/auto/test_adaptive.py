@@ -11,6 +11,8 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Reading, estimate_noise
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import LINEAR
+from msal_cli.auto.risk import CandidateRuns
+from msal_cli.auto.sample_patch import select_patch
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
 from tests.files import SAMPLES
@@ -92,6 +94,21 @@ def test_noise_or_texture_comes_out_well_either_way(monkeypatch):
     assert adaptive.choose_adaptive(mesh, wishes=Wishes(assume=TEXTURE)).method == NONE
     noise = adaptive.choose_adaptive(mesh, wishes=Wishes(assume=NOISE))
     assert distance(true, result_of(mesh, noise.method, noise.parameters)) < distance(true, made)
+
+
+def test_candidates_that_err_in_opposite_ways_are_mixed(monkeypatch):
+    mesh, true = torus_with(0.2)
+    runs = CandidateRuns(select_patch(mesh, 10**6), None, None, edges=0.1)
+    back, off = true.vertices - mesh.vertices, 0.02 * true.vertex_normals("uniform")
+    moves = [back + 3.0 * off, back - off, 0.5 * back]
+    _, pair, weights, error = adaptive._find_mixture(runs, moves, true, [2, 0, 1])
+    assert (pair, weights.tolist()) == ([0, 1], [0.25, 0.75]) and error < 1e-12
+    noisy, true = torus_with(0.2, "gaussian")
+    mixed = adaptive.choose_adaptive(noisy)
+    assert "75% windowed sinc" in mixed.reason and "25% AL with Wiener" in mixed.reason
+    monkeypatch.setattr(adaptive, "SMALL", 100)
+    single = adaptive.choose_adaptive(noisy)
+    assert mixed.risk < single.risk and "100% " in single.reason
 
 
 def test_one_spike_changes_nothing_elsewhere():
