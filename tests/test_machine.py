@@ -147,9 +147,6 @@ def windows(monkeypatch):
     return change
 
 
-# Files that another program looks at
-
-
 @pytest.mark.parametrize(("refusals", "is_written"), [(0, True), (3, True), (4, False)])
 def test_a_file_that_is_open_elsewhere_is_replaced_a_little_later(
     tmp_path, windows, monkeypatch, refusals, is_written
@@ -195,9 +192,6 @@ def test_a_new_file_is_renamed_where_that_does_not_replace(tmp_path, windows, mo
     assert len(os.listdir(tmp_path)) == 1
 
 
-# Names
-
-
 @pytest.mark.parametrize(
     ("name", "there"),
     [("CON.ply", "%43ON.ply"), ("con", "%63on"), ("scans/aux.scan.ply", "scans/%61ux.scan.ply")]
@@ -217,9 +211,6 @@ def test_a_drive_is_no_protocol(windows):
     assert not urls.is_url("C:/scans/a.ply")
     windows(urls)
     assert urls.normalize_url("file:///C:/scans/a.ply") == "C:/scans/a.ply"
-
-
-# Signals and processes
 
 
 @pytest.mark.skipif(os.name != "posix", reason="it is what Windows does")
@@ -245,9 +236,6 @@ def test_the_program_starts_without_modules_of_posix():
         "import msal_cli.batch.lock, msal_cli.batch.workers, msal_cli.job.pipeline"
     )
     run_python(code)
-
-
-# The workflow
 
 
 def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):

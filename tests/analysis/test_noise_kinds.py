@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from benchmarks.noise_kinds import KINDS, outcomes
 from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
@@ -150,6 +151,21 @@ def test_rounded_depths(smooth, axis):
     assert step == pytest.approx(0.5 * smooth.mean_edge_length, rel=1e-6)
     true = np.sqrt(((mesh.vertices - smooth.vertices) ** 2).sum(axis=1).mean())
     assert noise.file_units == pytest.approx(true, rel=0.15)
+
+
+@pytest.mark.parametrize(("level", "is_accepted"), [(0.3, False), (0.5, True)])
+def test_noise_along_an_axis_is_doubted_on_decimated_height_fields(level, is_accepted, monkeypatch):
+    random = np.random.default_rng(5)
+    x, y = 60.0 * random.random((2, 1500)) ** 2.5
+    heights = 3.0 * np.sin(x / 9.0) * np.cos(y / 7.0) + level * random.standard_normal(1500)
+    faces = Delaunay(np.c_[x, y]).simplices.astype(np.int32)
+    field = prepare_mesh(np.c_[x, y, heights], faces).mesh
+    estimate = noise_estimate.estimate_noise(field)
+    assert estimate.character.kind == ("view" if is_accepted else "none")
+    assert estimate.is_unsure == (not is_accepted)
+    monkeypatch.setattr(noise_estimate, "FIELD_OUTLINE", 0.1)
+    again = field.with_vertices(field.vertices)
+    assert noise_estimate.estimate_noise(again).character.kind == "view"
 
 
 def test_depths_in_steps_are_seen_on_texture():

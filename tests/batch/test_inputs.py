@@ -170,9 +170,6 @@ def test_what_is_found(tmp_path, caplog, files, pattern, options, expected):
     assert ("earlier run" in caplog.text) == (output == "outer")
 
 
-# Patterns
-
-
 MATCHED = (
     "*.ply left/a.ply, .*.ply .a.ply, left/*.ply left/a.ply, left/**/*.ply left/a.ply, "
     "left/**/*.ply left/b/c/a.ply, left/** left/b/c/a.ply, **/b/*.ply b/a.ply, **/**/a.ply a.ply, "

@@ -77,9 +77,6 @@ def test_normals_follow_the_faces_that_use_them() -> None:
     assert blanked(output) == blanked(ROOF)
 
 
-# Number of digits
-
-
 @pytest.mark.parametrize(
     ("scale", "token"),
     [
@@ -144,9 +141,6 @@ V 1 2 3
     vertices = moved(file)
     output = rewritten(file, vertices)
     assert blanked(output) == blanked(data)
-
-
-# Arrays that grow
 
 
 @given(st.binary(max_size=200), st.lists(st.sampled_from([b"v ", b"\nvn\t", b" f\\", b"v"])))

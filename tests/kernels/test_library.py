@@ -100,9 +100,6 @@ def test_kernels_run_where_memory_that_was_written_is_never_executed():
     assert ran.stdout == "1\n", ran.stderr
 
 
-# Threads
-
-
 @pytest.mark.parametrize("cores", ["1", "3"])
 def test_results_come_in_the_order_of_the_tasks(cores, monkeypatch):
     monkeypatch.setenv("MSAL_THREADS", cores)

@@ -157,9 +157,6 @@ def test_what_cannot_be_read_is_a_note(tmp_path):
     assert found.vertices is None and "cannot be read" in found.notes[0]
 
 
-# Numbers
-
-
 def test_one_stray_vertex_does_not_pale_the_rest():
     values = np.append(np.linspace(-1.0, 1.0, 1000), 500.0)
     scale = scale_of(values, is_signed=True)

@@ -322,6 +322,10 @@ LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
 SIZE = len(LEVELS)
 """Index of the feature that is the logarithm of the number of vertices."""
 
+FACING_SHARE, REGULAR_SHARE = SIZE + 3, SIZE + 4
+"""Indices of the features that are the share of normals within 90 degrees of their mean, and the
+share of vertices of valence 6."""
+
 EDGE_LENGTHS = SIZE + 8, SIZE + 12
 """Indices of the features that are logarithms of the 5 % and 95 % quantiles of the edge lengths."""
 
