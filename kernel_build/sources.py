@@ -1,4 +1,4 @@
-"""Hashes of the sources of kernels: which ones were edited since the library was made."""
+"""Hashes of the sources of kernels, which tell what was edited since the library was built."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from msal_cli.kernels.library import is_kernel_module
 
 
 def check_library() -> None:
-    """Refuse to go on where the library of a checkout has a kernel not as its source is now."""
+    """Exit if a kernel was edited after the library of a checkout was built."""
     for line in library.TABLE.read_text(encoding="utf-8").splitlines():
         signature, *_, made_of = line.split("\t")
         if made_of and source_hash(kernel_of(signature)) != made_of:
@@ -24,13 +24,16 @@ def check_library() -> None:
 
 @functools.cache
 def source_hash(kernel: Any) -> str:
-    """A hash of the byte code and constants of a ``Kernel`` and of all kernels that it calls."""
+    """A hash of the byte code and constants of a ``Kernel`` and of all kernels that it calls; not
+    of docstrings and comments."""
     parts: list[Any] = []
     waiting, seen = [kernel], {id(kernel)}
     while waiting:
-        one = waiting.pop()
-        code, known = one.function.__code__, one.function.__globals__
-        # Names of attributes are among these too; to hash too much does no harm.
+        function = waiting.pop().function
+        code, known = function.__code__, function.__globals__
+        if function.__doc__ and code.co_consts[:1] == (function.__doc__,):
+            code = code.replace(co_consts=(None, *code.co_consts[1:]))
+        # These include names of attributes; to hash too much does no harm.
         modules = [value for value in known.values() if is_kernel_module(value)]
         known = {name: value for of in (*map(vars, modules), known) for name, value in of.items()}
         values = {name: known[name] for name in _names(code) if name in known}

@@ -26,15 +26,15 @@ MAX_LOOKS = 4 * MAX_FOUND
 
 @compiled
 def room(start, stop, row_start):
-    """Items that a flood from any of these vertices can find: first rows are taken whole."""
+    """Items that a search from any of these vertices can find: first rows are included whole."""
     return np.int64(max(MAX_FOUND, longest_row(start, stop, row_start)) + 1)
 
 
 @compiled
 def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):
-    """Vertices that edges join to i through vertices no farther from it than the radius.
+    """Vertices within the radius of i that are connected to it through such vertices.
 
-    x positions.  ``mark`` (n,) must not hold i; ``found`` and ``squares`` have room for all.
+    x positions.  ``mark`` (n,) must not contain i; ``found`` and ``squares`` have room for all.
     Returns their number: ``found`` begins with i itself, ``squares`` are squared distances.
     """
     mark[i] = i
@@ -68,11 +68,11 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
 
 @compiled
 def faces_around(i, x, centroids, faces, face_start, incident, square_radius, memory):
-    """Faces whose centroids are within the radius of i, and that such faces join to it.
+    """Faces whose centroids are within the radius of i, connected to it through such faces.
 
-    x positions.  Faces are joined where they share a vertex.  Of the ``memory`` the marks (n,) and
-    (m,) must not hold i; ``corners`` has room for three vertices a face.  Returns the number of
-    faces ``found``, with the squared distances of their centroids in ``squares``.
+    x positions.  Faces that share a vertex are connected.  The marks (n,) and (m,) of ``memory``
+    must not contain i; ``corners`` has room for three vertices a face.  Returns the number of faces
+    ``found``, with the squared distances of their centroids in ``squares``.
     """
     vertex_mark, face_mark, corners, found, squares = memory
     own, name = vec.load(x, np.uint64(i)), np.int32(i)
@@ -112,7 +112,7 @@ def faces_around(i, x, centroids, faces, face_start, incident, square_radius, me
 
 @compiled
 def _shortest_edge(i, x, ring_start, ring, floor):
-    """Length of the shortest edge at i that is longer than the floor; 0 if none is."""
+    """Length of the shortest edge at i that is longer than the floor; 0 if there is none."""
     shortest = np.inf
     for at in range(ring_start[i], ring_start[i + 1]):
         square = vec.square_distance(vec.load(x, ring[at]), vec.load(x, i))
@@ -261,8 +261,8 @@ def _project(
             if averaged == _PROJECTIONS:
                 total = vec.add_scaled(total, -(weight * s[at]), vec.load(normals, f))
             else:
-                way = vec.subtract(vec.load(centroids, f), own)
-                total = vec.add_scaled(total, weight, way)
+                offset = vec.subtract(vec.load(centroids, f), own)
+                total = vec.add_scaled(total, weight, offset)
         if weights > 0.0:
             vec.store(moves, i, vec.divide(total, weights))
 

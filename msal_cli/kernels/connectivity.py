@@ -57,10 +57,10 @@ def index_rows(count: int, keys: Ints, per_row: int = 1, per_column: int = 0) ->
 
 @compiled
 def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
-    """Fill the rings of vertices whose faces close one circle or several, wound one way.
+    """Fill the one-rings of vertices whose faces are consistently wound and form closed fans.
 
-    They are the vertices that follow i in its faces, in the places of these faces.  ``opened[i]``
-    becomes True for all other vertices; what is in their places is of no use.
+    The neighbours are the vertices that follow i in its faces, in the order of these faces.
+    ``opened[i]`` becomes True for all other vertices, whose entries are then invalid.
     """
     # A vertex that follows i in a face is marked i, then, if it also precedes i, -2 - i.
     mark = np.full(len(opened), -1, dtype=np.int32)
@@ -87,7 +87,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
 
 @compiled
 def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
-    """Fill the ring of any vertex from ``row`` on; its end.
+    """Fill the one-ring of any vertex from ``row`` on; returns its end.
 
     ``uses`` counts how often each edge leaves the vertex, and how often it arrives.
     """
@@ -112,7 +112,7 @@ def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
 
 @compiled
 def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, boundary):
-    """All rings where some are no circles; ``closed`` has the others, in the places of their faces.
+    """All one-rings if some are not closed; ``closed`` has the others, in the order of their faces.
 
     Counts (entries, boundary, inconsistent, non-manifold) edges and marks the boundary.
     """
@@ -220,11 +220,11 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
 
 @compiled
 def _circles(start, stop, faces, face_start, incident, following):
-    """Link each side of a face to the next side along the same edge, round in a circle.
+    """Link each side of a face to the next side along the same edge, in a cycle.
 
-    Side 3 f + c of face f runs from its corner c to the next; an open edge's follows itself.  A
-    range of vertices has the edges from them to vertices of higher number.  All arrays are flat
-    and unsigned, so that no index is looked at for its sign.
+    Side 3 f + c of face f runs from its corner c to the next one; that of a boundary edge is linked
+    to itself.  A range of vertices handles the edges from them to vertices of higher number.  All
+    arrays are flat and unsigned, so that indices need no test of their sign.
     """
     n = len(face_start) - 1
     stamp = np.full(n, n, dtype=np.uint32)
@@ -260,7 +260,7 @@ def side_circles(faces: Ints, links: Connectivity) -> NDArray[np.uint32]:
 
 @compiled
 def _open_neighbours(faces, face_start, incident, boundary, row_start, row):
-    """Neighbours of every boundary vertex along edges with one face."""
+    """The neighbours of each boundary vertex along boundary edges."""
     n = len(boundary)
     stamp = np.full(n, -1, dtype=np.int32)
     times = np.empty(n, dtype=np.int32)
@@ -376,7 +376,7 @@ def component_labels(n_vertices: int, faces: Ints) -> Ints:
 
 @compiled
 def _root_and_parity(parent, parity, face):
-    """Root of a face and whether the face is wound against it; paths are shortened."""
+    """The root of a face, and whether the face has the opposite winding; paths are shortened."""
     root = face
     against = False
     while parent[root] != root:

@@ -29,7 +29,7 @@ This is about three degrees in the smallest angle of an isosceles face; no cotan
 
 @compiled
 def _corner_dots(vertices, a, b, c):
-    """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
+    """Dot products of the edges at each corner, doubled area, longest edge squared."""
     u, w, normal = vec.edges_and_normal(vertices, a, b, c)
     v = vec.subtract(w, u)
     return vec.dot(u, w), -vec.dot(u, v), vec.dot(w, v), vec.norm(normal), vec.longest_square(u, w)
@@ -158,17 +158,17 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
 @compiled
 def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):
     for i in range(start, stop):
-        way = vec.ORIGIN
+        total_offset = vec.ORIGIN
         total = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
-            way = vec.add_scaled(way, weights[at], vec.offset(x, ring[at], i))
+            total_offset = vec.add_scaled(total_offset, weights[at], vec.offset(x, ring[at], i))
             total += abs(weights[at])
         share = 0.0
         if free[i] and total > 0.0:
             share = 1.0 / total
             if time_step * total < 2.0 * areas[i]:
                 share = time_step / (2.0 * areas[i])
-        vec.store(moves, i, vec.times(share, way))
+        vec.store(moves, i, vec.times(share, total_offset))
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,13 +256,13 @@ MIN_SLOPE = 0.25
 
 @compiled
 def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, slopes, bent):
-    """w H(e), how fast its length grows as either end rises, and whether |H| > lambda.
+    """w H(e), the derivatives of its length by the heights of both ends, and whether |H| > lambda.
 
-    H of a flat flap grows with p1 by the cotangents of the two angles at p3, and the other way
-    round.  Zeros beside a degenerate face.
+    H of a flat flap grows with the height of p1 by the cotangents of the two angles at p3, and vice
+    versa.  All are zero beside a degenerate face.
     """
     for e in range(start, stop):
-        # Unsigned, so that no index is looked at for being negative.
+        # Unsigned indices need no test for negative ones.
         p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
         p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
         b, edge, m_normal = vec.edges_and_normal(x, p1, p2, p3)
@@ -323,7 +323,7 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
 
 @compiled
 def _area_vectors(start, stop, x, faces, vectors):
-    """Normal of every face with its area for length, and the area, both times two."""
+    """Twice the area vector and twice the area of each face."""
     for f in range(start, stop):
         a, b, c = vec.load(faces, f)
         _, _, normal = vec.edges_and_normal(x, a, b, c)

@@ -62,10 +62,10 @@ def find_rows(
 
 @compiled
 def _neighbours(start, stop, faces, face_start, incident, following, at_corners, most, sizes, ring):
-    """Find rows as ``find_rows`` wants them.
+    """Find neighbours, for ``find_rows``.
 
-    Whether a face was met before cannot be predicted: without a branch each is written down, and
-    kept by being counted.
+    Whether a face was seen before cannot be predicted, so each is written, and only counted if it
+    is new: this needs no branch.
     """
     seen = np.full(len(faces) // 3, len(faces) // 3, dtype=np.uint32)
     filled = np.uint64(start * most)
@@ -163,7 +163,7 @@ def corner_means(values: Floats, faces: Ints) -> Floats32:
 
 @compiled
 def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
-    """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
+    """Find faces within a radius, for ``find_rows``; c centroids, flat; ``radii`` (1,) or (m,)."""
     has_own = len(radii) > 1
     none = np.uint32(len(ring_start) - 1)
     seen = np.full(len(ring_start) - 1, none, dtype=np.uint32)
@@ -318,11 +318,8 @@ FOUR = np.uint64(4)
 
 @compiled
 def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner):
-    """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
-
-    ``pairs`` flat.  Which are cannot be predicted: without a branch each is written down, and kept
-    by being counted.
-    """
+    """Find the pairs, flat, of which both faces are in a patch, for ``find_rows``; without
+    branches, like ``_neighbours``."""
     member = np.full(len(ring_start) - 1, len(ring_start) - 1, dtype=np.uint32)
     filled = np.uint64(start * most)
     for f in range(np.uint64(start), np.uint64(stop)):
@@ -343,7 +340,7 @@ def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner)
 
 @compiled
 def _jumps(start, stop, n, pairs, jumps):
-    """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
+    """|n_a - n_b| of each pair; zero if either has no normal.  n normals, flat like the pairs."""
     for pair in range(np.uint64(start), np.uint64(stop)):
         a, b = vec.load(n, pairs[TWO * pair]), vec.load(n, pairs[TWO * pair + ONE])
         jumps[pair] = 0.0 if vec.is_zero(a) | vec.is_zero(b) else vec.norm(vec.subtract(a, b))
@@ -351,11 +348,10 @@ def _jumps(start, stop, n, pairs, jumps):
 
 @compiled
 def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights):
-    """Put the normals of the patches of a block side by side, and add up areas and normals.
+    """Gather the normals of the patches of a block contiguously, and sum areas and normals.
 
-    Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
-    the k-th after each is another of its patch.  Faces without an area are left out.  Returns how
-    many places are filled.
+    Those of a patch are followed by a cyclic repetition of ``half`` entries, so that the k-th after
+    each is another one of its patch.  Without degenerate faces.  Returns the number of entries.
     """
     filled = np.uint64(0)
     for f in range(first, last):
@@ -387,8 +383,8 @@ def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums
 
 @compiled
 def _widest(half, filled, x, y, z, squares):
-    """The greatest square of a difference between each vector and the next ``half``, an even
-    number of them; vector code, for which the places of a block are many enough."""
+    """The largest squared difference between each vector and the next ``half`` ones, an even
+    number; vector code, because the entries of a block are many."""
     for at in range(filled):
         squares[at] = 0.0
     places = max(filled, half) - half
@@ -402,9 +398,9 @@ def _widest(half, filled, x, y, z, squares):
 
 @compiled
 def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
-    """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
+    """Score and area-weighted mean normal of each patch; infinity if the mean vanishes.
 
-    n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
+    n normals, flat like the means.  Indices are unsigned, so that they need no test of their sign.
     """
     start, stop = np.uint64(start), np.uint64(stop)
     # A patch has one face more than its ring, and at most as many repeated entries.

@@ -73,11 +73,11 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 @compiled
 def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):
-    """Add every face's normal, and its weight, to its corners; count the faces that have none.
+    """Add each face's normal and weight to its corners; count the faces without a normal.
 
-    Part k of ``parts`` writes to its share of the vertices only, and looks at all faces for that:
-    each vertex adds up its faces in their order, whatever the number of parts.  Faces are taken in
-    blocks, so that roots and quotients become vector code.
+    Part k of ``parts`` writes only to its share of the vertices, and reads all faces: each vertex
+    sums its faces in their order, whatever the number of parts.  Faces are processed in blocks, so
+    that roots and quotients become vector code.
     """
     n = len(vertices)
     chosen = np.empty(BLOCK_FACES, dtype=np.int64)
@@ -125,7 +125,7 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
 
 @compiled
 def _unit_sums(start, stop, sums, weights):
-    """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
+    """Normalize sums; one that vanishes becomes zero, and its weight negative."""
     for i in range(start, stop):
         total = vec.load(sums, i)
         length = vec.norm(total)
@@ -200,8 +200,8 @@ def _area_and_volume(vertices, faces):
 def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
     """Surface area and signed volume, the sum of x1 . (x2 x x3) / 6 over the faces.
 
-    Desbrun, Meyer, Schroeder and Barr 1999, the paper's Table 1.  That of an open surface depends
-    on the origin.
+    Desbrun, Meyer, Schroeder and Barr 1999, the paper's Table 1.  The volume of an open surface
+    depends on the origin.
     """
     area, volume = _area_and_volume(vertices, faces)
     return float(area), float(volume)
@@ -220,10 +220,10 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 @compiled
 def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
-    """Add the edges of a share of the vertices, those to vertices of higher number, to each row.
+    """Add lengths of edges from a share of the vertices to ones of higher number, for each row.
 
-    ``bins`` (rows, 2 * POWERS) get the upper halves of the lengths' 53 bits by power of two, then
-    the lower ones, so that 2^36 numbers cannot overflow.
+    ``bins`` (rows, 2 * POWERS) sum the upper halves of the 53-bit mantissas by power of two, then
+    the lower halves, so that 2^36 numbers cannot overflow.
     """
     n = len(vertices)
     for row in range(start, stop):
@@ -263,8 +263,8 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 @compiled
 def count_parallel(some, columns, least, counts):
-    """How many unit vectors, the ``columns`` of (3, k), have with each of ``some`` (m, 3) a cosine
-    above ``least``, without its sign."""
+    """For each of ``some`` (m, 3) the number of unit vectors, the ``columns`` of (3, k), with an
+    absolute cosine above ``least``."""
     for i in range(len(some)):
         x, y, z = vec.load(some, i)
         count = 0
@@ -275,8 +275,8 @@ def count_parallel(some, columns, least, counts):
 
 @compiled
 def list_edge_lengths(count, vertices, ring_start, ring, lengths):
-    """Fill ``lengths`` with those of the edges of the first ``count`` vertices to such of higher
-    number; how many they are."""
+    """Fill ``lengths`` with those of the edges from the first ``count`` vertices to vertices of
+    higher number; returns how many there are."""
     filled = 0
     for i in range(count):
         for at in range(ring_start[i], ring_start[i + 1]):
@@ -288,8 +288,8 @@ def list_edge_lengths(count, vertices, ring_start, ring, lengths):
 
 @compiled
 def is_any_near(point, near, first, vertices):
-    """Whether a vertex is as ``near`` as this to a ``point`` (3,) along each axis; ``first`` is the
-    axis that is looked at first."""
+    """Whether a vertex is within ``near`` of a ``point`` (3,) along each axis; ``first`` is the
+    axis that is tested first."""
     second, third = (first + 1) % 3, (first + 2) % 3
     for i in range(len(vertices)):
         if (
@@ -448,7 +448,7 @@ def regroup_normals(
 
 @compiled
 def _volume_moment(vertices, faces, moment):
-    """Integral of the position over the volume, and the volume, times 24."""
+    """The integral of the position over the volume, and the volume, times 24."""
     volume = 0.0
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -465,7 +465,7 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
 
     The factor is the cube root of the ratio of the volumes (Desbrun et al. 1999), the fixed point
     the centre of mass of the solid, so that the surface does not drift.  Vertices without faces (m,
-    3) are not changed, and nothing is if a volume is zero or its sign changed.
+    3) are not changed, and none is if a volume is zero or changed its sign.
     """
     wanted = area_and_volume(original, faces)[1]
     moment = np.zeros(3)

@@ -98,7 +98,7 @@ SWEEPS = 4
 
 @compiled
 def find_axes(tensor):
-    """Unit eigenvectors and eigenvalues, greatest first, of a ``tensor`` xx, xy, xz, yy, yz, zz."""
+    """Unit eigenvectors and eigenvalues, largest first, of a ``tensor`` xx, xy, xz, yy, yz, zz."""
     xx, xy, xz, yy, yz, zz = tensor
     zero, one = fill_lanes(_0), fill_lanes(_1)
     a, b, c = (one, zero, zero), (zero, one, zero), (zero, zero, one)
@@ -114,10 +114,10 @@ def find_axes(tensor):
 
 @compiled
 def _rotate(p, q, off, rest_p, rest_q, first, second):
-    """One rotation of two axes, by the smaller angle that makes ``off`` zero.
+    """A Jacobi rotation of two axes, by the smaller angle that makes ``off`` zero.
 
-    ``p`` and ``q`` are their entries of the diagonal, ``off`` is the one of both, ``rest_p`` and
-    ``rest_q`` those with the third axis.
+    ``p`` and ``q`` are their diagonal entries, ``off`` is their off-diagonal entry, ``rest_p`` and
+    ``rest_q`` are those with the third axis.
     """
     zero, one, minus = fill_lanes(_0), fill_lanes(_1), fill_lanes(_MINUS)
     gap = q - p
@@ -136,6 +136,6 @@ def _rotate(p, q, off, rest_p, rest_q, first, second):
 
 @compiled
 def _sort(p, q, first, second):
-    """Two eigenvalues and their axes, the greater first."""
+    """Two eigenvalues and their axes, the larger first."""
     greater, less = choose_greater(q, p, q, p), choose_greater(q, p, p, q)
     return greater, less, choose_vector(q, p, second, first), choose_vector(q, p, first, second)

@@ -67,7 +67,7 @@ def _dot(start, stop, a, b, sums):
 
 @compiled
 def _step(start, stop, length, p, q, inverse, x, r, sums):
-    """x and r after a step of that length along p, q = A p; sums of r . r / diagonal."""
+    """Update x and r by a step of this length along p, q = A p; sums of r . r / diagonal."""
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(x))):
@@ -81,8 +81,8 @@ def _step(start, stop, length, p, q, inverse, x, r, sums):
 @compiled
 def _turn(start, stop, share, r, inverse, p):
     for i in range(start, stop):
-        way = vec.times(inverse[i], vec.load(r, i))
-        vec.store(p, i, vec.add_scaled(way, share, vec.load(p, i)))
+        direction = vec.times(inverse[i], vec.load(r, i))
+        vec.store(p, i, vec.add_scaled(direction, share, vec.load(p, i)))
 
 
 def conjugate_gradients(
@@ -154,7 +154,7 @@ MAX_COEFFICIENT = 100.0
 
 @compiled
 def _bends(start, stop, x, corners, threshold, coefficients, deltas):
-    """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
+    """c by areas as in He & Schaefer, section 3.2; s_one is twice S134, s_two is twice S123."""
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
         b, edge, m = vec.edges_and_normal(x, p1, p2, p3)
@@ -190,7 +190,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
 
 @compiled
 def _pattern(corners, start, incident, row_start, columns, slots):
-    """Columns of every row, and the place in it of each corner of each incident flap."""
+    """The columns of each row, and the index in it of each corner of each incident flap."""
     n = len(start) - 1
     slot = np.full(n, -1, dtype=np.int32)
     total = 0

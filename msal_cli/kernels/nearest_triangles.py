@@ -37,8 +37,8 @@ def _square_to_box(point, boxes, node):
 
 @compiled
 def _square_to_edge(o, edge, normal):
-    """The squared distance of a point at o from the edge that begins at the origin, and whether it
-    is on the inner side of it, seen along the normal."""
+    """The squared distance of a point o from the edge that begins at the origin, and whether o is
+    on the inner side of the edge, seen along the normal."""
     length = vec.dot(edge, edge)
     share = min(max(vec.dot(o, edge) / length, 0.0), 1.0) if length > 0.0 else 0.0
     rest = vec.add_scaled(o, -share, edge)
@@ -49,8 +49,8 @@ def _square_to_edge(o, edge, normal):
 def _square_to_triangle(point, corners, slot):
     """The squared distance to the triangle in a slot of ``corners``, nine numbers each.
 
-    The nearest point lies on one of the edges, or within where the foot of the point on the plane
-    does.  A triangle without area is its edges.
+    The nearest point is on an edge, or the projection on the plane if that is inside.  A degenerate
+    triangle is its edges.
     """
     first = THREE * slot
     u, w, normal = vec.edges_and_normal(corners, first, first + ONE, first + TWO)
@@ -70,9 +70,9 @@ def _square_to_triangle(point, corners, slot):
 def _find_nearest(
     start, stop, points, order, corners, numbers, boxes, first_leaf, triangles, distances
 ):
-    """The ``triangles`` and ``distances`` of points (n, 3), flat, one after the other as ``order``
-    (n,) has them; ``corners`` (m, 9), flat, are in the order of the tree, and ``numbers`` (m,)
-    those in the mesh."""
+    """The ``triangles`` and ``distances`` of points (n, 3), flat, visited in the ``order`` (n,);
+    ``corners`` (m, 9), flat, are in the order of the tree, and ``numbers`` (m,) are their face
+    numbers in the mesh."""
     nodes, squares = np.empty(_DEPTH, dtype=np.uint64), np.empty(_DEPTH)
     first_leaf, count, found = np.uint64(first_leaf), np.uint64(len(numbers)), ZERO
     for at in range(start, stop):

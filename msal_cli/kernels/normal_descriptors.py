@@ -136,26 +136,25 @@ def _store_vector(block, at, vector):
 
 @compiled
 def _zeros():
-    """A vector of zeros."""
     return fill_lanes(_0), fill_lanes(_0), fill_lanes(_0)
 
 
 @compiled
 def _greater(a, b):
-    """The greater numbers of two."""
+    """The maximum in each lane."""
     return choose_greater(a, b, a, b)
 
 
 @compiled
 def _biweigh(weight, square, per_square):
-    """w (1 - d^2 / R^2)^2, zero beyond the reach, or range, of which ``per_square`` is 1 / R^2."""
+    """w (1 - d^2 / R^2)^2, zero beyond the reach or range R, with ``per_square`` = 1 / R^2."""
     part = _greater(fill_lanes(_1) - square * per_square, fill_lanes(_0))
     return weight * part * part
 
 
 @compiled
 def _normalise(vector, kept, least):
-    """The unit vector of one; ``kept`` where its square is no more than ``least``."""
+    """Normalize a vector; ``kept`` if its square is at most ``least``."""
     square, bound, one = vec.dot(vector, vector), fill_lanes(least), fill_lanes(_1)
     per_length = one / root(choose_greater(square, bound, square, one))
     return choose_vector(square, bound, vec.times(per_length, vector), kept)
@@ -166,11 +165,11 @@ def _normalise(vector, kept, least):
 
 @compiled
 def _list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales):
-    """List the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
+    """List the neighbours of the faces ``first`` to ``last`` in lanes; returns the number of rows.
 
     The first row of ``faces`` is the faces themselves, which also fill lanes without a k-th
     neighbour; ``counts`` (8,) gets the numbers of neighbours, ``scales`` (8,) one over WIDE local
-    units, of which each face has its own, ``unit`` where that is zero.
+    units of each face, or over WIDE ``unit`` if that of a face is zero.
     """
     rows = ONE
     for lane in range(LANES):
@@ -194,10 +193,10 @@ def _list_neighbours(first, last, near_start, near, units, unit, faces, counts, 
 
 @compiled
 def _lay_neighbours(rows, points, marks, faces, counts, scales, block):
-    """Lay offsets, normals and weights of both reaches of the listed ``faces`` side by side.
+    """Fill a block with offsets, normals and weights of both reaches of the listed ``faces``.
 
-    ``points`` are the centroids, ``marks`` normals and areas (m, 4), flat; see ``lanes``.  Beside
-    them is |n_i - n_j|^2.  Returns the number of rows after which no narrow weight is above zero.
+    ``points`` are the centroids, ``marks`` normals and areas (m, 4), flat; see ``lanes``.  The
+    block also gets |n_i - n_j|^2.  Returns the number of rows with narrow weights above zero.
     """
     zero, one, ratio = fill_lanes(_0), fill_lanes(_1), fill_lanes(_RATIO)
     last, own = load_lanes(counts, ZERO), load_rows(faces, ZERO)
@@ -223,12 +222,12 @@ def _lay_neighbours(rows, points, marks, faces, counts, scales, block):
 
 @compiled
 def _lay_guides(row, stop, begin, points, records, is_later, memory):
-    """Lay the wide weights of ``_lay_neighbours`` and what is filtered jointly side by side.
+    """Fill a block with the wide weights of ``_lay_neighbours`` and the vectors to be filtered.
 
     They are those of the neighbours from ``row`` to ``stop``, in the block from ``begin`` on.
-    ``records`` has RECORD numbers of each face: six vectors, of which two are there ``is_later``,
-    and behind each a number: the area, then the scatter and the ripples.  The vectors stand behind
-    the weight.  The numbers are added to the first six rows of the sums.
+    ``records`` has RECORD numbers of each face: six vectors, of which two exist if ``is_later``,
+    and after each a number: the area, then the scatter and the ripples.  The vectors follow the
+    weight.  The numbers are added to the first six rows of the sums.
     """
     faces, counts, scales, block, sums = memory
     zero, one = fill_lanes(_0), fill_lanes(_1)
@@ -332,7 +331,7 @@ def _add_skews(rows, a, b, c, block):
 
 @compiled
 def _add_scatter(rows, mean, block):
-    """The greatest |n - mean|^2 within the narrow reach, and the sum by weight."""
+    """The largest |n - mean|^2 within the narrow reach, and the weighted sum."""
     zero = fill_lanes(_0)
     greatest = total = zero
     for k in range(rows):
@@ -365,8 +364,8 @@ def _fit_plane(sums, base):
     """Unit normals of planes that fit heights along the vectors ``base``; ``sums`` of
     ``_add_plane``.
 
-    Also the mean square and the own height off the plane, and how far the mean centroid is off
-    within it, squared; in reaches.
+    Also the mean squared deviation from the plane, the own height above it, and the squared
+    tangential distance of the mean centroid; in reaches.
     """
     total, offsets, (xx, xy, xz, yy, yz, zz) = sums
     even = fill_lanes(_EVEN)
@@ -395,8 +394,8 @@ def _fit_plane(sums, base):
 def _add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place):
     """Add w n for two ranges of the differences of guides to the six rows of ``sums`` at ``place``.
 
-    They are those of the neighbours in ``block``, of ``_lay_guides``, from ``begin`` to ``end``;
-    the first one in it is the face itself.  ``guide`` and ``normal`` are the places of vectors.
+    The neighbours are those in ``block``, of ``_lay_guides``, from ``begin`` to ``end``; the first
+    one in it is the face itself.  ``guide`` and ``normal`` are offsets of vectors.
     """
     first, second = fill_lanes(per_1), fill_lanes(per_2)
     own = _load_vector(block, guide)
@@ -412,7 +411,7 @@ def _add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place):
 
 @compiled
 def _turn_axis(skew, axis):
-    """The axis, turned round where ``skew`` is negative."""
+    """The axis, reversed if ``skew`` is negative."""
     return choose_vector(fill_lanes(_0), skew, vec.times(fill_lanes(_MINUS), axis), axis)
 
 
@@ -435,12 +434,12 @@ def describe(
     known,
     records,
 ):
-    """Fill in what is known of each face, (m, KNOWN), and its record, see ``_lay_guides``.
+    """Compute the descriptors ``known`` (m, KNOWN) of faces, and records, see ``_lay_guides``.
 
     The vectors of records are the normal, two means, the first of the ``others``, and two that are
-    there before; their numbers are the area, the scatter, and means of the ``ripples`` (n, 4) of
-    the corners of ``faces`` in the unit of the face.  Its own of the ``units`` counts over itself
-    plus their mean, ``unit``.  Arrays are flat; see ``_lay_neighbours``.
+    already there; their numbers are the area, the scatter, and means of the ``ripples`` (n, 4) of
+    the corners of ``faces`` in the unit of the face.  The feature of a face's unit, of ``units``,
+    is its share of the sum with the mean, ``unit``.  Arrays are flat; see ``_lay_neighbours``.
     """
     widest = longest_row(start, stop, near_start) + ONE
     listed = np.empty(np.int64(widest * R1), dtype=np.uint32)
@@ -475,7 +474,7 @@ def describe(
 
 @compiled
 def _describe_block(rows, close, marks, faces, counts, block, found):
-    """What is known of the faces of a block, of which ``close`` rows are within the narrow reach,
+    """The descriptors of the faces of a block, of which ``close`` rows are within the narrow reach,
     and two vectors for their records."""
     own = load_columns(marks, load_rows(faces, ZERO), FOUR, ZERO)
     narrow, normals = _add_narrow(close, block)
@@ -512,7 +511,7 @@ def _describe_block(rows, close, marks, faces, counts, block, found):
 
 @compiled
 def memory_for_inputs(start, stop, near_start):
-    """What ``lay_inputs`` works in for these faces: their neighbours, their counts and scales, the
+    """Buffers of ``lay_inputs`` for these faces: their neighbours, their counts and scales, the
     block, its sums."""
     widest = longest_row(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
@@ -523,17 +522,15 @@ def memory_for_inputs(start, stop, near_start):
 
 @compiled
 def lay_inputs(first, last, group, of, is_later, memory, vectors, x):
-    """Put the inputs and the vectors of the faces ``first`` to ``last``, eight at most, side by
-    side.
+    """Write the inputs and the vectors of the faces ``first`` to ``last``, eight at most.
 
     They are the columns from ``group`` on of ``x`` and ``vectors``, whose rows have FACES.  The
-    inputs are the vectors along the axes, one behind the other, then NUMBERS and the statistics.
+    inputs are the coordinates of the vectors along the axes, then NUMBERS and the statistics.
 
     Parameters
     ----------
-    of : ``points``, ``units``, ``unit``, ``near_start`` and ``near``; what is ``known``, and the
-        ``records``, from ``describe``; ``statistics`` (m, 5); ``others`` (m, 12), four vectors of
-        each face; flat.
+    of : ``points``, ``units``, ``unit``, ``near_start``, ``near``; ``known`` and ``records``
+        of ``describe``; ``statistics`` (m, 5); ``others`` (m, 12), four vectors a face; flat.
     is_later : whether vectors of earlier stages are in the records.
     memory : of ``memory_for_inputs``.
     """
@@ -576,14 +573,14 @@ def lay_inputs(first, last, group, of, is_later, memory, vectors, x):
 
 @compiled
 def _load_known(known, ids, place):
-    """The vectors of that place among what is known of faces."""
+    """The vectors at an index of the descriptors of faces."""
     x, y, z, _ = load_columns(known, ids, KNOWN, THREE * np.uint64(place))
     return x, y, z
 
 
 @compiled
 def _store_seen(vector, axes, vectors, x, to):
-    """Write a vector, and as three inputs what it is along the axes; where the next one goes."""
+    """Write a vector, and its coordinates along the axes as inputs; returns the next index."""
     store_lanes(vectors, to, vector[0])
     store_lanes(vectors, to + S1, vector[1])
     store_lanes(vectors, to + S2, vector[2])
@@ -595,7 +592,7 @@ def _store_seen(vector, axes, vectors, x, to):
 
 @compiled
 def _store_pair(pair, block, sums, axes, vectors, x, to):
-    """Write the normals of two ranges that ``_add_pair`` has added up."""
+    """Write the two filtered normals of ``_add_pair``."""
     kept, place = _load_vector(block, PAIRS[pair][1]), R6 * np.uint64(1 + pair)
     first, second = _load_vector(sums, place), _load_vector(sums, place + R3)
     to = _store_seen(_normalise(first, kept, _TINY), axes, vectors, x, to)
@@ -604,7 +601,7 @@ def _store_pair(pair, block, sums, axes, vectors, x, to):
 
 @compiled
 def _store_others(others, ids, normal, axes, vectors, x, to):
-    """Write four vectors of the faces; the own normal in place of those that are zero."""
+    """Write four vectors of the faces; zero ones are replaced by the own normal."""
     px, py, pz, qx = load_columns(others, ids, _OTHERS, ZERO)
     qy, qz, rx, ry = load_columns(others, ids, _OTHERS, FOUR)
     rz, sx, sy, sz = load_columns(others, ids, _OTHERS, FOUR + FOUR)
@@ -626,7 +623,7 @@ def _store_four(x, to, lanes):
 
 @compiled
 def _lay_numbers(known, records, statistics, ids, counts, sums, x, to):
-    """The numbers of faces as inputs; the first of ``sums`` are those of ``_lay_guides``."""
+    """Write the features of faces as inputs; the first of ``sums`` are those of ``_lay_guides``."""
     _, scatter, first = _load_vector(sums, ZERO)
     second, third, fourth = _load_vector(sums, R3)
     per_count = fill_lanes(_1) / (load_lanes(counts, ZERO) + fill_lanes(_1))

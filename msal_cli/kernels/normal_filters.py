@@ -38,7 +38,7 @@ OUT_OF_REACH = 1e300
 
 @compiled
 def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):
-    """c centroids, flat; rows and numbers are unsigned, so that none is looked at for its sign."""
+    """c centroids, flat; indices are unsigned, so that they need no test of their sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = vec.load(c, f)
         for at in vec.row_range(ring_start, f):
@@ -63,9 +63,10 @@ def distance_exponents(
 
 @compiled
 def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, result):
-    """n normals, flat as the result; exponents and ``falloff`` are those of powers of two.
+    """n normals, flat like the result; exponents and ``falloff`` are those of powers of two.
 
-    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    Faces are processed in blocks: the exponents of all, then all powers as vector code, then the
+    sums.
     """
     stop = np.uint64(stop)
     weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, ring_start))))
@@ -145,10 +146,10 @@ def _repeat(
 def _average_jointly(
     start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result
 ):
-    """n normals, g guides, c centroids, flat; squares are multiplied with -1 / (2 sigma^2 ln 2).
+    """n normals, g guides, c centroids, flat; squares are multiplied by -1 / (2 sigma^2 ln 2).
 
-    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
-    All indices are unsigned, so that none is looked at for its sign.
+    Faces are processed in blocks: the exponents of all, then all powers as vector code, then the
+    sums.  Indices are unsigned, so that they need no test of their sign.
     """
     stop = np.uint64(stop)
     weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, near_start))))
@@ -206,7 +207,7 @@ def joint_bilateral(
 
 @compiled
 def _average_similar(start, stop, n, threshold, ring_start, ring, result):
-    """n normals, flat as the result; indices are unsigned, and not looked at for their sign."""
+    """n normals, flat like the result; indices are unsigned, and need no test of their sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = vec.load(n, f)
         weights = (1.0 - threshold) * (1.0 - threshold)
@@ -254,10 +255,10 @@ MIN_SIMILARITY = 1e-6
 
 @compiled
 def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
-    """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
+    """min(tau / A, limit) l / d: edge length l, distance of centroids d, own area A; 0 for none.
 
-    All arrays are flat; x positions.  Of two faces with a common edge the centroids are a third
-    as far apart as the corners that are off it.
+    All arrays are flat; x positions.  The centroids of two faces are taken as a third as far apart
+    as the corners opposite to their common edge.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
         a, b, c = vec.load_corners(faces, f)
@@ -273,9 +274,9 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
             apex = a if has_b & has_c else (b if has_c else c)
             edge = vec.square_distance(vec.load(x, left), vec.load(x, right))
             other_apex = i + j + k - left - right
-            way = vec.square_distance(vec.load(x, apex), vec.load(x, other_apex)) / 9.0
-            share = np.sqrt(edge / way)
-            counts = (areas[f] > 0.0) & (areas[g] > 0.0) & (way > 0.0)
+            square = vec.square_distance(vec.load(x, apex), vec.load(x, other_apex)) / 9.0
+            share = np.sqrt(edge / square)
+            counts = (areas[f] > 0.0) & (areas[g] > 0.0) & (square > 0.0)
             share = share if counts else 0.0
             shares[at] = share
             total += share
@@ -290,10 +291,10 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
 
 @compiled
 def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
-    """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
+    """n normals, flat like the result; ``inverse`` is 1 / (2 mu^2 ln 2).
 
-    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
-    All indices are unsigned, so that none is looked at for its sign.
+    Faces are processed in blocks: the exponents of all, then all powers as vector code, then the
+    sums.  Indices are unsigned, so that they need no test of their sign.
     """
     stop = np.uint64(stop)
     weights = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, ring_start))))
@@ -313,14 +314,14 @@ def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
         for i in range(first, f):
             own, total = vec.load(n, i), vec.ORIGIN
             for at in vec.row_range(ring_start, i):
-                way = vec.subtract(vec.load(n, ring[at]), own)
-                total = vec.add_scaled(total, weights[at - origin], way)
+                difference = vec.subtract(vec.load(n, ring[at]), own)
+                total = vec.add_scaled(total, weights[at - origin], difference)
             vec.write_unit(vec.add(own, total), VANISHED, n, i, result)
 
 
 @compiled
 def _edge_differences(start, stop, n, ring_start, ring, lengths):
-    """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
+    """|n - m| for neighbours of higher number, -1 for all pairs that do not count; n flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = vec.load(n, f)
         for at in vec.row_range(ring_start, f):
@@ -393,7 +394,7 @@ ALONE = 1e-200
 
 @compiled
 def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):
-    """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
+    """Turn distance exponents into w_ij / A_j, which is symmetric; sum w_ij for each i."""
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
             alike = vec.dot(vec.load(normals, f), vec.load(normals, ring[at]))
@@ -503,7 +504,7 @@ def normal_system(
 
 @compiled
 def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
-    """w of every row; ``sums``, by face, of w without its last factor."""
+    """w of each row; ``sums``, by face, of w without its last factor."""
     widest = longest_row(start, stop, near_start)
     distant = np.empty(widest)
     unlike = np.empty(widest)

@@ -79,7 +79,7 @@ GLOBALS = 11
 
 @compiled
 def _measure_distances(start, stop, c, ring_start, ring, distances):
-    """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
+    """Mean distances of the centroids c, flat, to those of their neighbours; zero without any."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own, total, places = vec.load(c, f), 0.0, vec.row_range(ring_start, f)
         for at in places:
@@ -89,7 +89,7 @@ def _measure_distances(start, stop, c, ring_start, ring, distances):
 
 @compiled
 def _average_units(start, stop, distances, ring_start, ring, units):
-    """The mean of a face's distance and those of its row, times root 3."""
+    """The mean of a face's distance and those of its neighbours, times root 3."""
     for f in range(np.uint64(start), np.uint64(stop)):
         total, places = distances[f], vec.row_range(ring_start, f)
         for at in places:
@@ -99,9 +99,9 @@ def _average_units(start, stop, distances, ring_start, ring, units):
 
 @compiled
 def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
-    """Normal and area, in the mean, of each face in one row, flat.
+    """Normal and relative area of each face in one row, flat.
 
-    Faces without a normal have no area, and get the mean of those around, weighted by area.
+    Degenerate faces have area zero, and the mean normal of their neighbours, weighted by area.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
         normal, area = vec.load(normals, f), areas[f] * per_area
@@ -120,13 +120,13 @@ def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
 
 @compiled
 def _measure_heights(start, stop, left, normals, time, ripples):
-    """How long what is left is along the normals; after the second ``time`` also across them."""
+    """Absolute normal components of vectors ``left``; after the second umbrella also tangential."""
     for i in range(np.uint64(start), np.uint64(stop)):
-        way = vec.load(left, i)
-        along = vec.dot(way, vec.load(normals, i))
+        vector = vec.load(left, i)
+        along = vec.dot(vector, vec.load(normals, i))
         ripples[i, time] = abs(along)
         if time == 1:
-            ripples[i, 3] = np.sqrt(max(vec.dot(way, way) - along * along, 0.0))
+            ripples[i, 3] = np.sqrt(max(vec.dot(vector, vector) - along * along, 0.0))
 
 
 def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
@@ -176,7 +176,7 @@ _0, _1, _TINY = np.float32(0.0), np.float32(1.0), 1e-12
 
 @compiled
 def _store_output(y, to, first, second, leak):
-    """Write the output of twice ``LANES`` faces; what is below zero times ``leak``."""
+    """Write the outputs of twice ``LANES`` faces; negative ones are multiplied by ``leak``."""
     zero, slope = fill_lanes(_0), fill_lanes(leak)
     store_lanes(y, to, choose_greater(first, zero, first, first * slope))
     store_lanes(y, to + LANES, choose_greater(second, zero, second, second * slope))
@@ -184,10 +184,10 @@ def _store_output(y, to, first, second, leak):
 
 @compiled
 def _multiply(n_in, n_out, weights, at, x, y, leak):
-    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the matrix.
+    """One layer: ``y`` of ``x``; ``weights`` has n_out biases from ``at`` on, then the matrix.
 
-    Of the matrix ``TILE`` rows are beside each other: for each input their weights.  Returns where
-    the next layer begins.
+    The matrix is in tiles of ``TILE`` rows: for each input the weights of these outputs.  Returns
+    the start of the next.
     """
     row, step = at + n_out, n_in * TILE
     for o in range(ZERO, n_out, TILE):
@@ -240,10 +240,10 @@ def predict_normals(
     weights,
     normals,
 ):
-    """The unit normals (m, 3), flat, of a network with two hidden layers; see ``lay_inputs``.
+    """The unit normals (m, 3), flat, by a network with two hidden layers; see ``lay_inputs``.
 
-    ``n_in`` is the number of inputs, ``n_hidden`` and ``n_out`` are multiples of ``TILE``, the
-    last of at least ``n_vectors``.  ``weights`` has the three layers one behind another.
+    ``n_in`` is the number of inputs, ``n_hidden`` and ``n_out`` are multiples of ``TILE``, the last
+    at least ``n_vectors``.  ``weights`` has the three concatenated layers.
     """
     n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
     of = points, units, unit, near_start, near, known, records, statistics, others

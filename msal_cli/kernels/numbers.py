@@ -47,7 +47,7 @@ def load_eight(buf, at):
 
 @compiled
 def store_eight(out, at, word):
-    """Write a word to the eight bytes at ``at``; bytes beyond the end are left away."""
+    """Write a word to the eight bytes at ``at``; bytes beyond the end are dropped."""
     u = np.uint64(at)
     if at + 8 <= len(out):
         out[u] = np.uint8(word)
@@ -65,9 +65,9 @@ def store_eight(out, at, word):
 
 @compiled
 def count_before(marks):
-    """How many bytes lie before the first marked one; ``marks`` has the top bits of marked bytes.
+    """The number of bytes before the first marked one; ``marks`` has the top bits of marked bytes.
 
-    Eight where none is marked.
+    Eight if none is marked.
     """
     # The lowest set bit minus one sets all bits below it, of which the lowest of each byte is
     # counted. The marked byte itself has its seven lower bits set.
@@ -79,7 +79,7 @@ def count_before(marks):
 
 @compiled
 def count_digits(word):
-    """How many of the eight bytes are digits before the first that is none."""
+    """The number of digits among the eight bytes before the first other byte."""
     high = np.uint64(0x8080808080808080)
     # A carry between bytes starts at one that is no digit, so it affects only later ones.
     over = word + np.uint64(0x4646464646464646)
@@ -178,8 +178,8 @@ def times_power(word, exponent):
     """The leading 128 bits of word * 10**exponent, at most two units too small.
 
     Returns high, low and e with value = high:low * 2**e; the top bit or the one below it is set.
-    The table is cut off by less than one unit of its low word, which the word, below 2**64, carries
-    into the third word of the product; the third word itself is cut off: two units in all.
+    The table is truncated by less than one unit of its low word, which the word, below 2**64,
+    carries into the third word of the product; the third word is truncated too.
     """
     left = 64 - _bit_length(word)
     word <<= np.uint64(left)
@@ -243,10 +243,10 @@ def _read_word(buf, at, stop):
 
 @compiled
 def read_plain(buf, at):
-    """``read_number`` for the numbers that nearly all files consist of: value, end, decimals.
+    """``read_number`` for the numbers in nearly all files: value, end, decimals.
 
-    Digits with a point or without and perhaps a minus, which make a whole number up to 2**53, so
-    that one division rounds correctly.  The end is -1 for other numbers.
+    Digits with or without a point and a minus sign, which make an integer up to 2**53, so that one
+    division rounds correctly.  The end is -1 for other numbers.
     """
     negative = at < len(buf) and buf[np.uint64(at)] == 45
     at += negative
@@ -282,10 +282,10 @@ def read_plain(buf, at):
 
 @compiled
 def _read_any(buf, start, stop):
-    """``read_number`` for every number.
+    """``read_number`` for all numbers.
 
-    The first 19 significant digits bound a longer one from below, the next number of 19 from above:
-    where both are read as the same double, so is everything between.
+    The first 19 significant digits are a lower bound of a longer number, the next number of 19
+    digits an upper one: if both are read as the same double, so is every number between.
     """
     at = start
     negative = False
@@ -340,8 +340,8 @@ def _read_any(buf, start, stop):
 def read_number(buf, start, stop):
     """The number that begins at ``start``: value, status, end, decimals.
 
-    ``end`` is the first byte that does not belong to it; whether a token may end there is the
-    caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
+    ``end`` is the first byte that does not belong to it; the caller decides whether a token may end
+    there.  ``decimals`` are the digits after the point, adjusted by the exponent.
     """
     value, end, decimals = read_plain(buf, start)
     # A letter may be an exponent or the beginning of a word.
@@ -375,7 +375,7 @@ def _write_eight(number, count, out, at):
 def _write_digits(number, count, out, at):
     """Write an int64 with exactly ``count`` digits (up to 24); returns the end.
 
-    Up to seven bytes behind the end may be written over.
+    Up to seven bytes after the end may be overwritten.
     """
     if count > 16:
         at = _write_eight(number // 10**16, count - 16, out, at)
@@ -399,9 +399,9 @@ def _n_digits(number):
 
 @compiled
 def _scaled_fraction(fraction, decimals, is_odd):
-    """The whole number nearest to fraction * 10**decimals, a half to the even one.
+    """The integer nearest to fraction * 10**decimals, ties to even.
 
-    0 <= fraction < 1; ``is_odd`` is 1 where an even result would make the number odd.
+    0 <= fraction < 1; ``is_odd`` is 1 if an even result would make the number odd.
     """
     power = FLOAT_POWERS[decimals]
     scaled = fraction * power
@@ -438,11 +438,11 @@ def _parts(value):
 
 @compiled
 def write_fixed(value, decimals, out, at):
-    """Write ``value`` with ``decimals`` (at most 17) digits behind the point; returns the end.
+    """Write ``value`` with ``decimals`` (at most 17) digits after the point; returns the end.
 
-    Correctly rounded from the double, ties to the even digit; a result of zero has no sign.
-    Up to seven bytes behind the end may be written over.  Returns -1, with nothing written, for
-    magnitudes of 2**63 and more and for NaN.
+    Correctly rounded from the double, ties to the even digit; a result of zero has no sign.  Up to
+    seven bytes after the end may be overwritten.  Returns -1, with nothing written, for magnitudes
+    of 2**63 and more and for NaN.
     """
     size = abs(value)
     if not size < FIXED_BELOW:
@@ -482,7 +482,7 @@ def _rounded_to(value, n_digits, exponent):
 
 @compiled
 def _reads_back(mantissa, exponent, value, single):
-    """Whether mantissa * 10**exponent is read as ``value``: 1, 0, or -1 where it is unsure."""
+    """Whether mantissa * 10**exponent is read as ``value``: 1, 0, or -1 if unsure."""
     back, status = scale_exactly(mantissa, exponent)
     if status != EXACT:
         return -1
@@ -498,9 +498,9 @@ def _reads_back(mantissa, exponent, value, single):
 def write_shortest(value, single, out, at):
     """Write the shortest decimal that is read back as ``value``; returns the end.
 
-    15 digits (float32: 6) that read back are, without their last zeros, the shortest there is,
-    because every decimal of so few digits survives the way through the type.  Returns -1, with
-    nothing written, where ``repr`` must decide.
+    If 15 digits (float32: 6) read back, they are the shortest without their trailing zeros, because
+    each decimal of so few digits survives the conversion.  Returns -1, with nothing written, if
+    ``repr`` must decide.
     """
     if value == 0.0:
         out[at] = 45
@@ -562,7 +562,7 @@ def write_shortest(value, single, out, at):
 def write_number(value, decimals, out, at):
     """Write ``value`` with that many decimals, SHORTEST or SHORTEST_SINGLE; returns the end.
 
-    -1, with nothing written, where Python must do it.  Seven bytes behind the end may be changed.
+    -1, with nothing written, if Python must do it.  Seven bytes after the end may be overwritten.
     """
     if decimals == SHORTEST or decimals == SHORTEST_SINGLE:
         return write_shortest(value, decimals == SHORTEST_SINGLE, out, at)

@@ -66,7 +66,7 @@ MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 
 @compiled
 def count_statements(buf):
-    """At least as many v, vn and f statements as there are, hardly more in any real file; zeros."""
+    """Upper bounds of the numbers of v, vn and f statements, close for real files; and zeros."""
     # The first and the last byte are used as neighbours only.
     n_vertices = n_normals = n_faces = 2
     n_zeros = 0
@@ -92,7 +92,7 @@ def count_statements(buf):
 
 @compiled
 def skip_blanks(buf, at):
-    """The next byte that is no blank; a continued line goes on behind its end."""
+    """The next byte that is not a blank; a continued line goes on after its end."""
     while at < len(buf):
         c = buf[at]
         if c == 32 or c == 9 or c == 11 or c == 12:
@@ -132,13 +132,13 @@ def skip_word(buf, at):
 
 @compiled
 def _is_statement_end(buf, at):
-    """Whether no word begins at ``at``, which is no blank: the line ends or a comment begins."""
+    """Whether no word begins at ``at``, which is not a blank: the line ends or a comment begins."""
     return at >= len(buf) or buf[at] == 10 or buf[at] == 13 or buf[at] == 35
 
 
 @compiled
 def _skip_line(buf, at):
-    """The end of the line, or of the lines that continue it; ``at`` lies behind a word."""
+    """The end of the line, or of the lines that continue it; ``at`` is after a word."""
     is_comment = False
     while at < len(buf):
         c = buf[at]
@@ -169,7 +169,7 @@ def read_coordinate(buf, at):
 
 @compiled
 def _read_three(buf, at):
-    """The three numbers behind ``at``: values, WHOLE or an error, end, decimals, UNDECIDED or not.
+    """The three numbers after ``at``: values, WHOLE or an error, end, decimals, whether UNDECIDED.
 
     With an error the end is where the wrong word begins.
     """
@@ -191,7 +191,7 @@ def _read_three(buf, at):
 
 @compiled
 def _resolve_index(number, count):
-    """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
+    """The index, from zero, that ``number`` of a face means after ``count`` entries; or -1."""
     if number > 0:
         return min(number, 1 << 31) - 1
     if number < 0 and number + count >= 0:
@@ -246,7 +246,7 @@ def scan(
     keywords,
     libraries,
 ):
-    """Read on from ``state`` until something must be decided; returns WHOLE, FULL or an error.
+    """Continue from ``state`` until a decision is needed; returns WHOLE, FULL or an error.
 
     Parameters
     ----------

@@ -51,11 +51,11 @@ _FILL, _SHIFT = np.uint64(7), np.uint64(3)
 
 @compiled
 def block(first, stop, ring_start, widest, origin, table):
-    """Lay out the block that starts at vertex ``first``: (last + 1, fewest and most neighbours).
+    """Lay out the block that starts at vertex ``first``: (last + 1, least and largest valence).
 
-    ``table`` gets, for every m in use, the width of its group at m, the group's first lane at
-    widest + 1 + m, and at 2 (widest + 1) + m what to add to a lane for its place in the first row,
-    where rows begin at ``origin``.
+    ``table`` gets, for each valence m in use, the width of its group at m, the group's first lane
+    at widest + 1 + m, and at 2 (widest + 1) + m the number to add to a lane for its index in the
+    first row, where rows begin at ``origin``.
     """
     edges = max(BLOCK_EDGES, widest)
     last = min(first + BLOCK, np.uint64(stop))
@@ -145,9 +145,9 @@ def _filter_rings(
     """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5).
 
     Points are flat, three numbers each.  With a ``closeness`` the weight g is a product of two
-    Gaussians, which are one exponential; without it (0) it is that of eq. (5).  Without ``moved``
-    it writes heights and sigma and returns the largest sigma; with it, it makes the whole sweep:
-    new offsets t, and v + t n into ``moved``.
+    Gaussians, computed as one exponential; if it is 0, g is that of eq. (5).  Without ``moved``
+    heights and sigma are written and the largest sigma is returned; with it, a whole sweep is done:
+    new offsets t, and v + t n in ``moved``.
     """
     ring_start, ring = ring_start.view(np.uint32), ring.view(np.uint32)
     stop = np.uint64(stop)
@@ -360,7 +360,7 @@ _UNSCALED, _MASS, _EDGE = range(len(SCALINGS))
 
 @compiled
 def _median(values, count):
-    """Median of ``values[:count]``, which are sorted on the way."""
+    """Median of ``values[:count]``, which get sorted."""
     sort_few(values, count)
     middle = count // 2
     if count % 2:
@@ -390,7 +390,7 @@ def _sigma(h, m, deviation, scratch):
 
 @compiled
 def _weigh(h, lengths, m, weights, sigma, g):
-    """g(h[:m]), up to a factor; all alike where every neighbour is beyond Tukey's reach."""
+    """g(h[:m]), up to a factor; equal if all neighbours are beyond Tukey's reach."""
     if weights == _GAUSS:
         flattest = np.inf
         for at in range(m):

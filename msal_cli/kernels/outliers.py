@@ -103,7 +103,7 @@ NOT_JUDGED = -np.inf
 
 @compiled
 def _normal(point, x, b, c):
-    """The unit normal of the face of a point and the vertices b and c; zeros if it is flat."""
+    """The unit normal of the face of a point and vertices b and c; zeros if degenerate."""
     normal = vec.cross(vec.subtract(vec.load(x, b), point), vec.subtract(vec.load(x, c), point))
     length = vec.norm(normal)
     return vec.times(1.0 / length if length > 0.0 else 0.0, normal)
@@ -123,7 +123,7 @@ def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements)
 
 @compiled
 def _around(i, faces, face_start, incident, after, before):
-    """The vertices that follow vertex i in its faces, and those that go before it."""
+    """The vertices that follow vertex i in its faces, and those that precede it."""
     for k in range(face_start[i + 1] - face_start[i]):
         a, b, c = vec.load(faces, incident[face_start[i] + k])
         after[k] = b if a == i else (c if b == i else a)
@@ -132,8 +132,8 @@ def _around(i, faces, face_start, incident, after, before):
 
 @compiled
 def _circle(i, n, faces, face_start, incident, after, before, following, outer):
-    """For each of the n faces around vertex i the place of the next one, and the face across the
-    edge opposite i, or -1.  Whether they close."""
+    """For each of the n faces around vertex i the index of the next one, and the face across the
+    edge opposite to i, or -1.  Returns whether the faces form a closed fan."""
     for k in range(n):
         following[k] = -1
         for other in range(n):
@@ -153,8 +153,8 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
 
 @compiled
 def _roughness(point, n, x, fan):
-    """Mean length of the differences between the normals on both sides of the edges in and around
-    the faces that a vertex would have at a point."""
+    """Mean length of the differences of normals across the edges in and around the faces that a
+    vertex would have at a point."""
     after, following, outer, normals, outer_normals = fan
     for k in range(n):
         vec.store(normals, k, _normal(point, x, after[k], after[following[k]]))
@@ -170,8 +170,7 @@ def _roughness(point, n, x, fan):
 
 @compiled
 def _solve(equations, coefficients):
-    """Solve the normal equations, right sides in column ``TERMS``; what they do not determine
-    becomes small."""
+    """Solve the normal equations, right sides in column ``TERMS``; undetermined terms get small."""
     for pivot in range(TERMS):
         scale = 1.0 / max(equations[pivot, pivot], 1e-9)
         for row in range(pivot + 1, TERMS):
@@ -187,7 +186,7 @@ def _solve(equations, coefficients):
 
 @compiled
 def _rank(values, count, share, ranking):
-    """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
+    """The quantile ``share`` of values[1:count]; ``ranking`` is a buffer for sorting."""
     for at in range(1, count):
         ranking[at - 1] = values[at]
     sort_few(ranking, count - 1)
@@ -196,11 +195,10 @@ def _rank(values, count, share, ranking):
 
 @compiled
 def _fit(count, local, memory, height, least):
-    """Fit degree 2 to the points ``local``[:, 1:count] (u, w, height) by weights that get less for
-    those far from it; the median of what is left over.
+    """Fit a quadratic to the points ``local``[:, 1:count] (u, w, height) by iteratively reweighted
+    least squares; returns the median residual.
 
-    After the first fit it ends with -1 where that is nearer to ``height`` in the middle than
-    ``least``.
+    Returns -1 after the first fit if its constant is closer to ``height`` than ``least``.
     """
     weights, rests, ranking, terms, equations, coefficients = memory
     for at in range(1, count):
@@ -246,9 +244,9 @@ def _height(u, w, c):
 
 @compiled
 def _has_flat_side(point, n, x, faces, fan, flat):
-    """Whether two of the faces around a vertex and next to those lie on one plane.
+    """Whether two of the faces around a vertex and next to those are coplanar.
 
-    Two with a straight link do wherever the vertex is, so they do not count.
+    Two with collinear outer vertices are coplanar wherever the vertex is, so they do not count.
     """
     after, following, outer, normals, outer_normals = fan
     for k in range(n):
@@ -273,12 +271,12 @@ def _has_flat_side(point, n, x, faces, fan, flat):
 
 @compiled
 def _spread(i, x, found, count, ring_start, ring, lengths, ranking):
-    """The longest tenth over the shortest tenth of the edges at found[1:count] but those to i."""
+    """The ratio of the 90 % to the 10 % quantile of edges at found[1:count] except those to i."""
     n = 1
     for near in range(1, count):
         k = found[near]
-        for place in range(ring_start[k], ring_start[k + 1]):
-            j = ring[place]
+        for slot in range(ring_start[k], ring_start[k + 1]):
+            j = ring[slot]
             if j != i and n < MAX_LENGTHS:
                 lengths[n] = vec.norm(vec.offset(x, j, k))
                 n += 1
@@ -340,8 +338,8 @@ def _judge(
             continue
         scale = 1.0 / size
         middle = vec.divide(middle, total)
-        way = vec.times(scale, vec.subtract(point, middle))
-        square = vec.dot(way, way)
+        shift = vec.times(scale, vec.subtract(point, middle))
+        square = vec.dot(shift, shift)
         if square < (NEAR + NEAR_BY_SCORE * floor) ** 2 and not is_known:
             continue
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
@@ -382,7 +380,7 @@ def _judge(
             local[0, near], local[1, near] = vec.dot(offset, u_axis), vec.dot(offset, w_axis)
             local[2, near] = vec.dot(offset, normal)
             weights[near] = agreements[k] ** 4
-        u, w, rise = vec.dot(way, u_axis), vec.dot(way, w_axis), vec.dot(way, normal)
+        u, w, rise = vec.dot(shift, u_axis), vec.dot(shift, w_axis), vec.dot(shift, normal)
         along = np.sqrt(u * u + w * w)
         least = 0.0
         if not is_known:
@@ -426,12 +424,12 @@ def _judge(
 def _pick(start, stop, chosen, scores, ring_start, ring, picked):
     for at in range(start, stop):
         i = chosen[at]
-        is_most = True
-        for place in range(ring_start[i], ring_start[i + 1]):
-            k = ring[place]
+        is_largest = True
+        for slot in range(ring_start[i], ring_start[i + 1]):
+            k = ring[slot]
             if scores[k] > scores[i] or (scores[k] == scores[i] and k < i):
-                is_most = False
-        picked[at] = is_most
+                is_largest = False
+        picked[at] = is_largest
 
 
 @compiled

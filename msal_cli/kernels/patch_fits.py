@@ -57,10 +57,10 @@ averaged."""
 
 @compiled
 def collect_patch(i, ring_start, ring, found, ends, slots):
-    """Collect vertex i and those around it, nearest first, in ``found``; how many they are.
+    """Collect vertex i and those around it in breadth-first order in ``found``; their number.
 
-    ``ends`` gets how many are within each ring, as many rings as it has places for; 0 where they
-    are more than there is room for, and collecting ends.
+    ``ends`` gets the numbers of vertices within each ring, for as many rings as it has items; 0 if
+    there is no room for them, where the search ends.
     """
     last_slot = len(slots) - 1
     for slot in range(len(slots)):
@@ -75,8 +75,8 @@ def collect_patch(i, ring_start, ring, found, ends, slots):
         last = count
         for at in range(first, last):
             j = found[at]
-            for place in range(ring_start[j], ring_start[j + 1]):
-                k = ring[place]
+            for entry in range(ring_start[j], ring_start[j + 1]):
+                k = ring[entry]
                 slot = (k * 40503) & last_slot
                 while slots[slot] != EMPTY and slots[slot] != k:
                     slot = (slot + 1) & last_slot
@@ -93,17 +93,17 @@ def collect_patch(i, ring_start, ring, found, ends, slots):
 
 @compiled
 def collect_near(i, normal, reach, vertices, normals, ring_start, ring, met, found):
-    """Collect vertex i and what is near it over edges, in ``found``; how many they are.
+    """Collect vertex i and those near it by breadth-first search in ``found``; their number.
 
     They are within ``reach`` of it, and their ``normals`` (n, 3) less than a right angle from
-    ``normal`` (3,).  Where ``found`` is full collecting ends.  ``met`` (n,) is False everywhere,
+    ``normal`` (3,).  The search ends if ``found`` is full.  ``met`` (n,) is False everywhere,
     before and after.
     """
     found[0], met[i] = i, True
     at, count = 0, 1
     while at < count and count < len(found):
-        for place in range(ring_start[found[at]], ring_start[found[at] + 1]):
-            k = ring[place]
+        for entry in range(ring_start[found[at]], ring_start[found[at] + 1]):
+            k = ring[entry]
             is_near = vec.square_distance(vec.load(vertices, k), vec.load(vertices, i)) < reach**2
             is_facing = vec.dot(vec.load(normals, k), (normal[0], normal[1], normal[2])) > 0.0
             if count < len(found) and not met[k] and is_near and is_facing:
@@ -117,7 +117,8 @@ def collect_near(i, normal, reach, vertices, normals, ring_start, ring, met, fou
 
 @compiled
 def find_tangents(normal):
-    """Two unit vectors across a unit normal, the first across the axis that it leans to least."""
+    """Two orthogonal unit vectors in the tangent plane of a unit normal, the first one orthogonal
+    to the coordinate axis that is farthest from the normal."""
     x, y, z = normal
     if abs(x) <= abs(y) and abs(x) <= abs(z):
         u = 0.0, z, -y
@@ -131,10 +132,9 @@ def find_tangents(normal):
 
 @compiled
 def _find_frame(found, inner, count, vertices, normals, frame):
-    """Normal, tangents and middle of the first ``inner`` vertices found, in ``frame`` (4, 3).
+    """Normal, tangents and mean of the first ``inner`` vertices found, in ``frame`` (4, 3).
 
-    Returns the root mean square distance of all ``count`` from the middle; zero where there is no
-    frame.
+    Returns the root mean square distance of all ``count`` from the mean; zero if there is no frame.
     """
     normal = middle = vec.ORIGIN
     for a in range(inner):
@@ -157,7 +157,7 @@ def _find_frame(found, inner, count, vertices, normals, frame):
 
 @compiled
 def _fill_monomials(u, w, terms):
-    """1, u, w, uu, uw, ww, uuu ... in ``terms``, up to degree 6."""
+    """Monomials 1, u, w, uu, uw, ww, uuu ... up to degree 6 in ``terms``."""
     terms[0] = 1.0
     before, at = 0, 1
     for degree in range(1, 7):
@@ -171,7 +171,7 @@ def _fill_monomials(u, w, terms):
 @compiled
 def _add_vertices(found, added, stop, vertices, frame, scale, terms, own, sums, along):
     """Add the vertices ``found``[added:stop] to the ``sums`` of monomials and, ``along``, of their
-    products with the heights, that of the heights with themselves last.
+    products with the heights, with the squared heights last.
 
     ``terms`` is for one vertex; ``own`` gets the monomials and the height of the first of all.
     """
@@ -216,8 +216,8 @@ def _begin_equations(sums, along, own, equations, sums_of_squares):
 
 @compiled
 def _eliminate(equations, sums_of_squares, first, last):
-    """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
-    patch can distinguish.  What is left of the heights is in their rows then."""
+    """Eliminate the monomials ``first`` ... ``last``, in the upper triangle; returns the rank.  The
+    rows of the heights then have their residuals."""
     rank = 0
     for pivot in range(first, last):
         if equations[pivot, pivot] <= DEPENDENT * sums_of_squares[pivot]:
@@ -233,7 +233,7 @@ def _eliminate(equations, sums_of_squares, first, last):
 
 @compiled
 def _left_over(equations, along, rows, rounding):
-    """What is left of the heights' sum of squares; zero where it is rounding."""
+    """Residual sum of squares of the heights; zero for a rounding error."""
     rest = equations[HEIGHT, HEIGHT]
     return 0.0 if rest <= rounding * along[HEIGHT] or rest <= 1e-22 * rows else rest
 
@@ -351,8 +351,8 @@ def _fit_scales(
             total = vec.ORIGIN
             for a in range(1, ends[1]):
                 total = vec.add(total, vec.load(vertices, found[a]))
-            way = vec.subtract(vec.load(vertices, i), vec.divide(total, valence))
-            vec.store(offsets, at, vec.times(weight, way))
+            offset = vec.subtract(vec.load(vertices, i), vec.divide(total, valence))
+            vec.store(offsets, at, vec.times(weight, offset))
         added = fit = 0
         for rings in range(1, widest + 1):
             stop_at = ends[rings]

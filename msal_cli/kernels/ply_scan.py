@@ -57,8 +57,8 @@ def walk_binary(data, at, count, sizes, count_sizes, signed, big_endian, columns
     starts (count, C) : receives the offset of the value (of a list: of the first item).
     lengths (count, C) : receives the number of items; 1 for a scalar.
 
-    Returns (records walked, place reached, status, property, items and item size in bytes that
-    the place reached needs).
+    Returns (records read, byte reached, status, property, items and item size in bytes that are
+    needed there).
     """
     end = len(data)
     for record in range(count):
@@ -92,7 +92,7 @@ def next_record(data, at):
 
 @compiled
 def skip_lines(data, at, count):
-    """The byte behind the next ``count`` line feeds."""
+    """The byte after the next ``count`` line feeds."""
     while count > 0 and at < len(data):
         count -= data[at] == 10
         at += 1
@@ -104,8 +104,8 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
     """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
 
     Parameters as in ``walk_binary``; a list's ``starts`` and ``stops`` are those of its count.
-    Returns (records walked, end, status); the end is that of the last token, and after a fault
-    the place of it.
+    Returns (records read, end, status); the end is that of the last token, or the position of an
+    error.
     """
     end = len(data)
     n_properties = len(is_list)
@@ -141,7 +141,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
 
 @compiled
 def _short_number(data, at):
-    """The whole number of at most nine digits at ``at``, and its digits; none for any other."""
+    """The integer of at most nine digits at ``at``, and its digits; 0 for other tokens."""
     word = load_eight(data, at)
     digits = count_digits(word)
     if digits == 0:
@@ -161,14 +161,14 @@ def read_scalars(data, at, start, stop, columns, groups, values, first_at, decim
 
     Parameters
     ----------
-    columns (P,) : for each property its column of ``values``, or -1 to pass over it.
+    columns (P,) : for each property its column of ``values``, or -1 to skip it.
     groups (P,) : the group that a property belongs to, or -1.
     values (count, C) : receives the numbers.
     first_at, decimals (G, count) : receive, for each group, where its first token is and the
         most decimals of its numbers.
 
     Returns the records with a number that is not plain, the end of the last one, and WHOLE; or ODD
-    where a record is none, or has a number that must be read in another way.
+    for a wrong record or a number that must be read in another way.
     """
     n_unusual = 0
     for record in range(start, stop):
@@ -209,7 +209,7 @@ def read_scalars(data, at, start, stop, columns, groups, values, first_at, decim
 def read_lists(data, at, start, stop, is_list, wanted, items, n_items, lengths):
     """Read the list that is property ``wanted`` of records ``start`` to ``stop`` from byte ``at``.
 
-    is_list (P,) : which properties are lists; all but the wanted one are passed over.
+    is_list (P,) : which properties are lists; all but the wanted one are skipped.
     items (k,) int32 : receives the items, from ``n_items`` on; lengths (count,) int32 : how many
         each record has.
 
@@ -252,7 +252,7 @@ def read_lists(data, at, start, stop, is_list, wanted, items, n_items, lengths):
 
 @compiled
 def list_tokens(data, stops, lengths, item_starts, item_stops):
-    """Places of the items of lists that ``walk_text`` found: ``stops`` of their counts (n,),
+    """Positions of the items of lists that ``walk_text`` found: ``stops`` of their counts (n,),
     ``lengths`` (n,) -> ``item_starts``, ``item_stops`` (sum of lengths,)."""
     k = 0
     for record in range(len(stops)):
@@ -267,7 +267,7 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):
 
 @compiled
 def read_integers(data, starts, stops, values):
-    """The whole numbers (k,) that are these tokens; returns the first that is none, or -1."""
+    """The integers (k,) of these tokens; returns the first token that is not one, or -1."""
     for k in range(len(starts)):
         values[k], status = parse_integer(data, starts[k], stops[k])
         if status != EXACT:
@@ -277,7 +277,7 @@ def read_integers(data, starts, stops, values):
 
 @compiled
 def gather(data, starts, sizes, packed):
-    """Copy the pieces ``data[starts[i] : starts[i] + sizes[i]]`` one behind another."""
+    """Concatenate the pieces ``data[starts[i] : starts[i] + sizes[i]]`` into ``packed``."""
     k = 0
     for i in range(len(starts)):
         at = starts[i]
@@ -288,7 +288,7 @@ def gather(data, starts, sizes, packed):
 
 @compiled
 def scatter(data, starts, sizes, packed):
-    """The reverse of ``gather``: copy packed pieces to their places in ``data``."""
+    """The reverse of ``gather``: copy packed pieces to their positions in ``data``."""
     k = 0
     for i in range(len(starts)):
         at = starts[i]
@@ -315,8 +315,8 @@ def fans(items, lengths, triangles):
 
 @compiled
 def unroll_strips(items, lengths, triangles):
-    """Triangles of strips: -1 restarts a strip, every second triangle is turned round, and
-    those that name a vertex twice are dropped.  Returns the number of triangles."""
+    """Triangles of strips: -1 restarts a strip, each second triangle is flipped, and those that
+    name a vertex twice are dropped.  Returns the number of triangles."""
     first = t = 0
     for s in range(len(lengths)):
         run = 0  # corners since the last restart

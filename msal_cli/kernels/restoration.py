@@ -49,7 +49,7 @@ def _mean(start, stop, ring_start, ring, values, low):
 
 @compiled
 def _to_bands(start, stop, levels, powers):
-    """Make bands of the levels, the differences of neighbouring ones, and their squares."""
+    """Turn levels into bands, the differences of consecutive ones, and compute their squares."""
     last = len(levels) - 1
     for i in range(start, stop):
         for band in range(last + 1):
@@ -60,10 +60,10 @@ def _to_bands(start, stop, levels, powers):
 
 @compiled
 def _average(start, stop, ring_start, ring, powers, averages):
-    """Means over the one-rings of the five powers of each vertex, which are side by side.
+    """Means over closed one-rings of the five powers of each vertex, which are contiguous.
 
-    Five sums by name stay in registers, where a loop over the bands would go through memory, and
-    unsigned places need no check for counting from the end.
+    Five named sums stay in registers, while a loop over the bands would use memory; unsigned
+    indices need no test for negative ones.
     """
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
     five = np.uint64(5)

@@ -38,7 +38,7 @@ def _spread_bits(x):
 
 @compiled
 def _key_vertices(start, stop, vertices, low, cells_per_unit, keys):
-    """The cell of each vertex along a Morton curve, and below it the number of the vertex."""
+    """Morton code of the cell of each vertex, and in the low half the number of the vertex."""
     for i in range(start, stop):
         code = np.uint64(0)
         for axis in range(3):
@@ -50,7 +50,7 @@ def _key_vertices(start, stop, vertices, low, cells_per_unit, keys):
 
 @compiled
 def _rank(start, stop, keys, first, last, ranks):
-    """Of the vertices from ``first`` to ``last`` the places of their keys."""
+    """The ranks of the keys of the vertices from ``first`` to ``last``."""
     for at in range(start, stop):
         i = np.int64(keys[at] & LOW_BITS)
         if first <= i < last:
@@ -59,7 +59,7 @@ def _rank(start, stop, keys, first, last, ranks):
 
 @compiled
 def _gather(start, stop, rows, order, first, last, ordered):
-    """The rows that the low halves of ``order`` number, of those from ``first`` to ``last``."""
+    """Gather rows by the low halves of ``order``, those from ``first`` to ``last``."""
     for at in range(start, stop):
         i = np.int64(np.uint64(order[at]) & LOW_BITS)
         if first <= i < last:
@@ -69,7 +69,7 @@ def _gather(start, stop, rows, order, first, last, ordered):
 
 @compiled
 def _renumber(start, stop, faces, ranks, first, last, renumbered):
-    """The corners of faces as ranks, of those from ``first`` to ``last``."""
+    """Replace the corners of faces by their ranks, those from ``first`` to ``last``."""
     for f in range(start, stop):
         for k in range(3):
             i = faces[f, k]

@@ -63,7 +63,7 @@ def _skip_word(buf, at, word):
 
 @compiled
 def _skip_two_words(buf, at, word):
-    """The end of ``word`` where it is written as two, as in ``end facet``; else -1."""
+    """The end of ``word`` if it is written as two words, as in ``end facet``; else -1."""
     middle = skip_token(buf, at)
     tail = _skip_spaces(buf, middle)
     stop = tail + _LENGTHS[word] - 3
@@ -85,7 +85,7 @@ def _is_bare(buf, at, word):
 
 @compiled
 def _match(buf, at, word):
-    """The end of ``word`` at ``at``, as it may be written; -1 where another word is there."""
+    """The end of ``word`` at ``at``, as it may be written; -1 for another word."""
     stop = _skip_word(buf, at, word)
     if stop < 0 and word >= ENDLOOP:
         return _skip_two_words(buf, at, word)
@@ -96,10 +96,10 @@ def _match(buf, at, word):
 
 @compiled
 def _skip_remark(buf, end, at):
-    """The first word behind words that stand on the line of a statement, which ends at ``end``.
+    """The first word after additional words on the line of a statement, which ends at ``end``.
 
-    That is ``at``, the next word, where it stands on another line, or is a number or a keyword:
-    one too many is damage.
+    That is ``at``, the next word, if it is on another line, or is a number or a keyword, because
+    additional ones of these are damage.
     """
     for k in range(end, at):
         if is_line_end(buf, k):
@@ -236,11 +236,11 @@ _LENGTH_ERROR = 1e-5
 def check_facets(
     start, stop, old, new, faces, words_before, words, corners_before, normals, corners
 ):
-    """The first facet that is not as ``facet_normals.replace_facets`` must leave it, and its fault.
+    """The first facet that is not as ``replace_facets`` must write it, and what is wrong.
 
     old, new (n, 3) float64 : vertices; ``faces`` (m, 3) are the facets' corners among them.
     normals (m, 3), corners (m, 9) float32 : views into the file, after and before.
-    words (m, 25) uint16 : all of a facet, before and after: six of the normal, eighteen of the
+    words (m, 25) uint16 : whole facets, before and after: six of the normal, eighteen of the
         corners, and the attribute.
     """
     for f in range(start, stop):
@@ -273,11 +273,11 @@ def check_facets(
 
 @compiled
 def replace_facets(start, stop, old, new, faces, normals, corners, changed):
-    """Write the normals and corners that are others into facets.
+    """Write changed normals and corners into facets.
 
     normals (m, 3) : as stored; those that ``renew_facet_normals`` says are replaced.
-    corners (m, 9) : every coordinate that moved is replaced.  Without rows: none.
-    changed (m,) bool : set for normals that are replaced.  Without rows: not filled.
+    corners (m, 9) : each coordinate that moved is replaced.  Not filled if empty.
+    changed (m,) bool : set for normals that are replaced.  Not filled if empty.
     """
     for f in range(start, stop):
         a, b, c = vec.load(faces, f)
@@ -322,7 +322,7 @@ def renew_facet_normals(
     normals : (m, 3).  A facet with a corner that moved gets the unit normal of its new corners by
         the right-hand rule, reversed if the stored one opposed the old corners.  A facet whose
         stored normal is zero (exporters leave the choice to the reader) or not finite, and one
-        that has no area any more, keeps what it has.
+        that became degenerate, keeps its normal.
     changed : (m,) bool, which normals are new.
     """
     result = np.array(normals, dtype=np.float64)

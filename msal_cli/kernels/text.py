@@ -44,7 +44,7 @@ def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
 
 @compiled
 def read_integer(buf, at, stop):
-    """A signed whole number: its value, where it ends (``at`` without digits), whether it fits."""
+    """A signed integer: its value, its end (``at`` without digits), whether it fits int64."""
     first = at
     negative = False
     if at < stop and (buf[at] == 45 or buf[at] == 43):
@@ -66,7 +66,7 @@ def read_integer(buf, at, stop):
 
 @compiled
 def parse_integer(buf, start, stop):
-    """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
+    """The int64 value of a whole token and its status; UNDECIDED if it does not fit."""
     value, end, fits = read_integer(buf, start, stop)
     if end == start or end < stop:
         return np.int64(0), NOT_A_NUMBER
@@ -104,11 +104,10 @@ def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
 
 @compiled
 def find_words(buf, start, stop, comment, starts, stops, lines):
-    """Find the words of ``buf[start:stop]``; a byte ``comment`` (-1 for none) hides the rest of its
-    line.
+    """Find the words of ``buf[start:stop]``; a byte ``comment`` (-1 for none) begins a comment.
 
-    starts, stops, lines (q,) int64 : receive the places of the first q words, and numbers of their
-        lines, which ascend.  Returns how many words there are.
+    starts, stops, lines (q,) int64 : receive the positions of the first q words, and the numbers of
+        their lines.  Returns the number of words.
     """
     n_words = line = 0
     at = start
@@ -195,7 +194,7 @@ def print_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
 
 @compiled
 def skip_blanks(buf, at):
-    """The first byte from ``at`` on that is no blank, tab, vertical tab or form feed."""
+    """The first byte from ``at`` on that is not a blank, tab, vertical tab or form feed."""
     while at < len(buf):
         c = buf[np.uint64(at)]
         if c != 32 and c != 9 and c != 11 and c != 12:
@@ -302,7 +301,7 @@ def format_lines(
 
     Parameters
     ----------
-    text, stops : (size,) and (k,), k tokens one behind the other, as of ``print_numbers``.
+    text, stops : (size,) and (k,), k concatenated tokens, as of ``print_numbers``.
     row_stops : (r,), ascending, the tokens up to and with each row; no row is empty.
     doubled : write each token as ``t//t``, as OBJ names a corner with a normal.
     """
@@ -347,7 +346,7 @@ ASIDE = 3
 
 @compiled
 def _skip_to_number(buf, at):
-    """The next byte that is no blank; in an OBJ file a continued line goes on behind its end."""
+    """The next byte that is not a blank; in an OBJ file a continued line goes on after its end."""
     while at < len(buf):
         c = buf[np.uint64(at)]
         if c > 32 and c != 92:
@@ -376,7 +375,8 @@ def _skip_number(buf, at):
 @compiled
 def find_numbers(buf, begins, width, starts, used):
     """Where each number of the runs that begin at ``begins`` (q,) begins, (q * width,), and the
-    most decimals (q,) of each run, at most 255; ``1.5e-3`` has four.  Either may be empty."""
+    largest number of decimals (q,) of each run, at most 255; ``1.5e-3`` has four.  Either may be
+    empty."""
     for i in range(len(begins)):
         end = begins[i]
         most = np.int64(0)
@@ -409,12 +409,12 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals):
     buf : (size,) uint8, the file.
     out : uint8, with room for the result and eight bytes more.
     first, first_axis : the run and the number in it to begin with.
-    begins : (n,) int64, ascending, where the runs begin, behind their keywords.
+    begins : (n,) int64, ascending, where the runs begin, after their keywords.
     old, new : (n, width) float64; a number is replaced where they differ.
     decimals : (n,) uint8, of new numbers, see ``numbers.write_number``.
 
-    Returns the end of what was copied, in both, and the run and the number that Python has to
-    write next; (n, 0) where all are written: the rest of the file is yet to be copied.
+    Returns the end of the copied bytes, in both, and the run and the number that Python has to
+    write next; (n, 0) if all are written.  The rest of the file is not copied.
     """
     for i in range(first, len(begins)):
         if _is_kept(old, new, i):
@@ -446,8 +446,8 @@ def compare(a, a_done, b, b_done, first, first_axis, begins, old, new, decimals,
 
     A number that did not change keeps its bytes; one that did is within ``tolerances[decimals[i]]``
     of its new value, and 2 units in the last place of a double.  Other parameters as in
-    ``replace``.  Returns DONE, what is wrong, or ASIDE for the number at ``b_done``; how far both
-    files are dealt with; the run and the number in it.
+    ``replace``.  Returns DONE, the error, or ASIDE for the number at ``b_done``; the compared bytes
+    of both files; the run and the number in it.
     """
     for i in range(first, len(begins)):
         if _is_kept(old, new, i):

@@ -26,7 +26,7 @@ from msal_cli.light_dataclass import dataclass
 
 @compiled
 def _mean_offset(x, ring_start, ring, i):
-    """The mean of x_k - x_i over the row of i; zero where it is empty."""
+    """The mean of x_k - x_i over the row of i; zero if it is empty."""
     m = ring_start[i + 1] - ring_start[i]
     return vec.times(1.0 / m if m else 0.0, vec.sum_offsets(x, ring_start, ring, i))
 
@@ -40,12 +40,12 @@ def _umbrella(start, stop, x, ring_start, ring, moves):
 @compiled
 def _even_out(start, stop, x, normals, ring_start, ring, free, share, moved):
     for i in range(start, stop):
-        place, normal = vec.load(x, i), vec.load(normals, i)
+        position, normal = vec.load(x, i), vec.load(normals, i)
         if free[i]:
             offset = _mean_offset(x, ring_start, ring, i)
             along = vec.times(vec.dot(offset, normal), normal)
-            place = vec.add_scaled(place, share, vec.subtract(offset, along))
-        vec.store(moved, i, place)
+            position = vec.add_scaled(position, share, vec.subtract(offset, along))
+        vec.store(moved, i, position)
 
 
 def even_out(
@@ -72,7 +72,7 @@ class Umbrella:
 
 @compiled
 def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):
-    """l edge lengths of the row; edges without length have no direction and do not count."""
+    """l edge lengths of the row; edges of length zero do not count."""
     for i in range(start, stop):
         total = vec.ORIGIN
         lengths = reciprocals = 0.0
@@ -156,8 +156,8 @@ KEPT = 0.99904
 
 @compiled
 def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weights, after, moves):
-    """``twice`` (now + U now / 2) - (twice - 1) before, and its terms, by one weight for each
-    filter, added to the moves of the filters; positions and moves are flat."""
+    """``twice`` (now + U now / 2) - (twice - 1) before; adds this term, by the weight of each
+    filter, to the displacements of the filters.  Positions and displacements are flat."""
     rest = twice - 1.0
     for i in range(np.uint64(start), np.uint64(stop)):
         m = ring_start[i + ONE] - ring_start[i]
@@ -166,8 +166,8 @@ def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weigh
         v = vec.subtract(vec.times(twice, middle), vec.times(rest, vec.load(before, i)))
         vec.store(after, i, v)
         v = vec.subtract(v, vec.load(x, i))
-        for one in range(len(weights)):
-            vec.store(moves[one], i, vec.add_scaled(vec.load(moves[one], i), weights[one], v))
+        for k in range(len(weights)):
+            vec.store(moves[k], i, vec.add_scaled(vec.load(moves[k], i), weights[k], v))
 
 
 def smooth_by_windowed_sinc(

@@ -12,7 +12,7 @@ ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 
 @compiled
 def longest_row(start, stop, row_start):
-    """The most items of a row in a range of rows; of the type of differences of ``row_start``."""
+    """The length of the longest row in a range, of the type of differences of ``row_start``."""
     longest = row_start[start] - row_start[start]
     for i in range(np.int64(start), np.int64(stop)):
         longest = max(longest, row_start[i + 1] - row_start[i])
@@ -23,7 +23,7 @@ def longest_row(start, stop, row_start):
 def sort_few(values, count):
     """Sort ``values[:count]`` by Shell's method.
 
-    A one-ring is sorted by insertion in effect; the gaps keep a hub of 50,000 affordable.
+    For a one-ring this is insertion sort; the gaps limit the cost for a valence of 50,000.
     """
     gap = 1
     while gap < count // 3:
@@ -54,7 +54,7 @@ def load(x, i):
 
 @compiled
 def load_corners(faces, f):
-    """The vertices of face f; unsigned, so that none is looked at for being negative."""
+    """The vertices of face f, unsigned, so that they need no test for negative ones."""
     a, b, c = load(faces, f)
     return np.uint64(a), np.uint64(b), np.uint64(c)
 
@@ -95,7 +95,7 @@ def times(s, v):
 
 @compiled
 def divide(v, s):
-    """v / s, which is not always (1 / s) v to the last bit."""
+    """v / s, which may differ from (1 / s) v in the last bit."""
     return v[0] / s, v[1] / s, v[2] / s
 
 
@@ -138,7 +138,7 @@ def is_zero(v):
 
 @compiled
 def row_range(row_start, i):
-    """The places of row i; unsigned, so that no index is looked at for being negative."""
+    """The indices of row i, unsigned, so that they need no test for negative ones."""
     own = np.uint64(i)
     return range(np.uint64(row_start[own]), np.uint64(row_start[own + ONE]))
 
@@ -163,15 +163,16 @@ def sum_offsets(x, row_start, row, i):
 
 @compiled
 def write_unit(v, least, kept, i, result):
-    """Write the unit vector of v as vector i of ``result``; where v is no longer than ``least``,
-    that of ``kept``."""
+    """Write the unit vector of v as vector i of ``result``; if v is no longer than ``least``, that
+    of ``kept``."""
     size = norm(v)
     store(result, i, divide(v, size) if size > least else load(kept, i))
 
 
 @compiled
 def edges_and_normal(x, a, b, c):
-    """Edges u = x_b - x_a and w = x_c - x_a of a triangle, and u x w: twice its area long."""
+    """Edges u = x_b - x_a and w = x_c - x_a of a triangle, and u x w: its length is twice the
+    area."""
     origin = load(x, a)
     u, w = subtract(load(x, b), origin), subtract(load(x, c), origin)
     return u, w, cross(u, w)
@@ -207,10 +208,10 @@ _TO_EXPONENT = np.int64(52)
 
 @compiled
 def power_of_two(exponent):
-    """2 to an exponent not above 1, within 1 ulp or so.
+    """2 to an exponent not above 1, within about 1 ulp.
 
-    For use inside loops over contiguous numbers, which then become vector code.  There is nothing
-    to reduce by a rounded ln 2: for exp put ``LOG2_E`` into a factor that is there.
+    For loops over contiguous numbers, which become vector code.  There is no reduction by a rounded
+    ln 2: for exp, multiply a factor of the exponent by ``LOG2_E``.
     """
     t = exponent if exponent > MIN_POWER else MIN_POWER
     rounded = t + _ROUND

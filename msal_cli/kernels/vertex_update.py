@@ -32,7 +32,7 @@ THIRD = 1.0 / 3.0
 
 @compiled
 def _shares(start, stop, n, face_start, incident, free, share):
-    """One over the number of faces that have a normal; zero for vertices that stay."""
+    """One over the number of faces that have a normal; zero for fixed vertices."""
     for i in range(np.uint64(start), np.uint64(stop)):
         count = 0
         for at in vec.row_range(face_start, i):
@@ -42,21 +42,21 @@ def _shares(start, stop, n, face_start, incident, free, share):
 
 @compiled
 def _offsets(start, stop, x, faces, n, offsets):
-    """n' . c of every face.  All arrays are flat; x positions, n wanted normals.
+    """n' . c of each face.  All arrays are flat; x positions, n wanted normals.
 
-    Indices are unsigned, so that none is looked at for its sign.
+    Indices are unsigned, so that they need no test of their sign.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
         a, b, c = vec.load(faces, f)
         origin = vec.load(x, a)
         # In this form the centroid of equal coordinates is exact.
-        ways = vec.add(vec.subtract(vec.load(x, b), origin), vec.subtract(vec.load(x, c), origin))
-        offsets[f] = vec.dot(vec.load(n, f), vec.add_scaled(origin, THIRD, ways))
+        edges = vec.add(vec.subtract(vec.load(x, b), origin), vec.subtract(vec.load(x, c), origin))
+        offsets[f] = vec.dot(vec.load(n, f), vec.add_scaled(origin, THIRD, edges))
 
 
 @compiled
 def _move(start, stop, n, face_start, incident, offsets, share, x):
-    """x positions, flat as the normals; the sum of the ways to the planes counts by ``share``."""
+    """x positions, flat like the normals; the sum of offsets to planes is scaled by ``share``."""
     for i in range(np.uint64(start), np.uint64(stop)):
         own, total = vec.load(x, i), vec.ORIGIN
         for at in vec.row_range(face_start, i):
@@ -115,7 +115,7 @@ STRAINED, FULLY_STRAINED = 0.93969262078590838, 0.64278760968653933
 
 @compiled
 def _measure_strains(start, stop, normals, wanted, strains):
-    """How strained each face is, 0 to 1; 0 where either normal is missing.  All arrays flat."""
+    """Strain of each face, 0 to 1; 0 if either normal is missing.  All arrays are flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         a, b = vec.load(normals, f), vec.load(wanted, f)
         strain = (STRAINED - vec.dot(a, b)) / (STRAINED - FULLY_STRAINED)
@@ -138,21 +138,23 @@ def _even_out(
     moved,
     chosen,
 ):
-    """Positions after one step, flat as x, and which vertices have a strained face."""
+    """Positions after one step, flat like x, and whether each vertex has a strained face."""
     for i in range(np.uint64(start), np.uint64(stop)):
         strain = 0.0
         for at in vec.row_range(face_start, i):
             strain = max(strain, strains[np.uint64(incident[at])])
         normal = vec.sum_row(wanted, face_start, incident, i)
-        place = vec.load(x, i)
+        own = vec.load(x, i)
         chosen[i] = free[i] and strain > 0.0
         length = vec.norm(normal)
         if chosen[i] and inner[i] and length > 0.0:
             normal = vec.divide(normal, length)
-            way = vec.sum_offsets(x, ring_start, ring, i)
+            offset = vec.sum_offsets(x, ring_start, ring, i)
             share = STEP * strain / np.float64(ring_start[i + ONE] - ring_start[i])
-            place = vec.add_scaled(place, share, vec.add_scaled(way, -vec.dot(way, normal), normal))
-        vec.store(moved, i, place)
+            own = vec.add_scaled(
+                own, share, vec.add_scaled(offset, -vec.dot(offset, normal), normal)
+            )
+        vec.store(moved, i, own)
 
 
 def untangle(

@@ -15,7 +15,7 @@ _BLOCK_ROWS = 512
 
 @compiled
 def hash_bits(a, b, c):
-    """A hash of three 64-bit patterns; that of minus zero, the highest bit alone, counts as 0."""
+    """A hash of three 64-bit patterns; minus zero, the highest bit alone, counts as 0."""
     minus_zero = np.uint64(0x8000000000000000)
     a = np.uint64(0) if a == minus_zero else a
     b = np.uint64(0) if b == minus_zero else b
@@ -36,11 +36,11 @@ def _hashes(bits, start, stop, mask, hashes):
 
 @compiled
 def _alike_perhaps(bits, used, seen, again, candidates):
-    """Rows whose hash another row has too: the only ones that can equal another; their number.
+    """The rows whose hash is not unique, the only ones that can equal another; their number.
 
-    ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows fit
-    no cache: the words of a block of rows are read first, all at once, so that many waits for
-    memory are one.
+    ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows
+    exceed the cache: the words of a block of rows are read first, all at once, so that waits
+    overlap.
     """
     mask = np.uint64(64 * len(seen) - 1)
     one, six, low = np.uint64(1), np.uint64(6), np.uint64(63)
@@ -104,7 +104,8 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
     """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and the number of
     rows that equal an earlier one.
 
-    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) map to themselves.
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) are ignored and map to
+    themselves.
     """
     n = len(rows)
     rows = np.ascontiguousarray(rows)
@@ -266,7 +267,7 @@ _BLOCK_FACETS = 256
 
 @compiled
 def _slot(x, y, z, shift):
-    """The place of a position in a table of ``2 ** (64 - shift)`` places."""
+    """The slot of a position in a table of ``2 ** (64 - shift)`` slots."""
     a, b, c = (
         np.float64(x).view(np.uint64),
         np.float64(y).view(np.uint64),
@@ -277,22 +278,22 @@ def _slot(x, y, z, shift):
 
 @compiled
 def _corner(corners, f, k):
-    """The position of corner k of facet f; the sum makes a plain zero of a negative one."""
+    """The position of corner k of facet f; the sum turns a negative zero into a positive one."""
     x, y, z = corners[f, 3 * k], corners[f, 3 * k + 1], corners[f, 3 * k + 2]
     return np.float64(x) + 0.0, np.float64(y) + 0.0, np.float64(z) + 0.0
 
 
 @compiled
 def _index_corners(first, found, corners, shift, part, part_shift, table, vertices, keys, faces):
-    """Number the corners of facets from ``first`` on whose place is in one ``part`` of the table.
+    """Number the corners of facets from ``first`` on whose slot is in one ``part`` of the table.
 
     table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.  A part of it
-        has ``2 ** part_shift`` places.
-    keys (n,) uint64 : of each vertex its first corner, and below it its number.  Without items:
-        not filled.
+        has ``2 ** part_shift`` slots.
+    keys (n,) uint64 : of each vertex its first corner, and in the low half its number.  Not filled
+        if empty.
 
-    Returns the facet that it came to, the vertices found so far, and whether that facet has a
-    position that is not finite; it stops too where the table or ``vertices`` might become full.
+    Returns the facet reached, the vertices found so far, and whether that facet has a position that
+    is not finite; it stops too if the table or ``vertices`` might become full.
     """
     mask = len(table) - 1
     room = min(len(vertices), len(table) // 2)
@@ -346,7 +347,7 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
 
 @compiled
 def _enter(vertices, shift, part, part_shift, table):
-    """Enter vertices that are all different into one part of an empty table."""
+    """Insert vertices that are all different into one part of an empty table."""
     mask = len(table) - 1
     for number in range(len(vertices)):
         x, y, z = vec.load(vertices, number)

@@ -25,7 +25,7 @@ MIN_ROWS = 64
 
 @compiled
 def _nearest_faces(start, stop, points, faces, nearness, front):
-    """Draw all faces into rows ``start`` to ``stop``; of faces equally near the first stays."""
+    """Draw all faces into rows ``start`` to ``stop``; the first of equally near faces is kept."""
     width = front.shape[1]
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -75,7 +75,7 @@ def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple
 def _corner_normals(
     start, stop, faces, face_start, incident, normals, areas, least_cosine, full_cosine, result
 ):
-    """At each corner of faces: the sum of the vertex's faces that turn little from this one."""
+    """At each corner of faces the mean normal of the vertex's faces that turn little from it."""
     span = full_cosine - least_cosine
     for f in range(start, stop):
         own = vec.load(normals, f)

@@ -13,16 +13,18 @@ from msal_cli.kernels.library import Kernel, compiled
 from tests.kernel_build import some_kernels as some
 
 
-def with_globals(kernel, **values):
-    names = {**kernel.function.__globals__, **values}
-    function = types.FunctionType(kernel.function.__code__, names, kernel.function.__name__)
+def with_globals(kernel, code=None, **values):
+    names, code = {**kernel.function.__globals__, **values}, code or kernel.function.__code__
+    function = types.FunctionType(code, names, kernel.function.__name__)
     function.__module__ = kernel.function.__module__
     return Kernel(function)
 
 
-def test_the_hash_is_of_the_body_constants_and_callees():
+def test_the_hash_is_of_the_body_constants_and_callees_but_not_of_docstrings():
     same = source_hash(with_globals(some.scaled_sum))
-    assert same == source_hash(some.scaled_sum)
+    code = some.scaled_sum.function.__code__
+    code = code.replace(co_consts=("Another text.", *code.co_consts[1:]))
+    assert same == source_hash(some.scaled_sum) == source_hash(with_globals(some.scaled_sum, code))
     other_callee = with_globals(some.scaled, FACTOR=5.0)
     hashes = {
         same,

@@ -228,7 +228,7 @@ MIN_TAIL = 0.008
 """Excess of the tail over ``FAR_OUT`` above which noise is impulsive."""
 
 FAR_OUT_EXCESS = 0.08
-"""Variance of the vertices in the tail under Gaussian noise, as a share of all variance."""
+"""Excess variance of the vertices in the tail under Gaussian noise, as a share of its variance."""
 
 NEGLIGIBLE = 0.005
 """Levels below it, mean edge lengths, are invisible."""
