@@ -38,22 +38,29 @@ def _umbrella(start, stop, x, ring_start, ring, moves):
 
 
 @compiled
-def _even_out(start, stop, x, normals, ring_start, ring, free, share, moved):
+def _even_out(start, stop, x, normals, ring_start, ring, free, share, longest, moved):
     for i in range(start, stop):
         position, normal = vec.load(x, i), vec.load(normals, i)
         if free[i]:
             offset = _mean_offset(x, ring_start, ring, i)
-            along = vec.times(vec.dot(offset, normal), normal)
-            position = vec.add_scaled(position, share, vec.subtract(offset, along))
+            across = vec.add_scaled(offset, -vec.dot(offset, normal), normal)
+            if vec.dot(across, across) <= longest * longest:
+                position = vec.add_scaled(position, share, across)
         vec.store(moved, i, position)
 
 
 def even_out(
-    positions: Floats, normals: Floats, ring_start: Ints, ring: Ints, free: Flags, share: float
+    positions: Floats,
+    normals: Floats,
+    ring_start: Ints,
+    ring: Ints,
+    free: Flags,
+    share: float,
+    longest: float,
 ) -> Floats:
     """Positions (n, 3), the ``free`` ones (n,) by ``share`` of the umbrella within the tangent
-    plane of their normals (n, 3)."""
-    args = positions, normals, ring_start, ring, free, share
+    plane of their normals (n, 3), where that is at most ``longest``."""
+    args = positions, normals, ring_start, ring, free, share, longest
     return fill_array(_even_out, positions.shape, *args)
 
 

@@ -109,6 +109,10 @@ def measure_second_umbrella(mesh: Mesh) -> tuple[float, float]:
 EVEN_STEP = 0.5
 """Share of the tangential distance to the mean of the neighbours that one pass moves a vertex."""
 
+EVEN_REACH = 1.0
+"""Mean edge lengths up to which that distance can be noise; beyond, the triangles are uneven by
+themselves (slivers at the hull of scattered points), and the vertex stays."""
+
 EVEN_MOLLIFY = 3
 """Passes that average the vertex normals, which define the tangent planes."""
 
@@ -130,7 +134,9 @@ def _even_out(mesh: Mesh, passes: int) -> Mesh:
     free = links.has_ring & ~links.boundary
     if mesh.fixed_vertices is not None:
         free &= ~mesh.fixed_vertices
-    positions = mesh.vertices
+    positions, edge = mesh.vertices, mesh.mean_edge_length
     for _ in range(passes):
-        positions = umbrellas.even_out(positions, normals, *links.one_ring, free, EVEN_STEP)
+        positions = umbrellas.even_out(
+            positions, normals, *links.one_ring, free, EVEN_STEP, EVEN_REACH * edge
+        )
     return mesh.with_vertices(positions)
