@@ -108,7 +108,7 @@ def list_methods() -> tuple[MethodInfo, ...]:
 
     Returns
     -------
-    A MethodInfo for each, in alphabetical order.  ``"adaptive"`` and ``"auto"`` are not methods.
+    A MethodInfo for each, in alphabetical order, without the choices ``"adaptive"`` and ``"auto"``.
     """
     from msal_cli import methods
 

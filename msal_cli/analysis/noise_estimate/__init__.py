@@ -603,7 +603,7 @@ def _is_rounded(mesh: Mesh) -> bool:
 
 
 def _is_mirrored(mesh: Mesh, verdict: Verdict) -> bool:
-    """Whether nearly all vertices have mirror images, which only outliers would leave."""
+    """Whether nearly all vertices have mirror images: noise would leave none, outliers most."""
     used = np.flatnonzero(mesh.topology.has_ring)
     return verdict.kind != "outliers" and are_mirrored(mesh, used, MIN_MIRRORED)
 
