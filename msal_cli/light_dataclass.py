@@ -99,7 +99,7 @@ def screen_repr(name: str, values: Mapping[str, Any]) -> str:
     """A repr with one line for each non-empty value, cut to one screen."""
     lines = []
     for key, value in values.items():
-        if value is None or value in ("", (), {}):
+        if value is None or (isinstance(value, str | tuple | dict) and not value):
             continue
         line = f"    {key}={value}" if isinstance(value, str) else f"    {key}={value!r}"
         line = " ".join(line.split("\n"))

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 
+import numpy as np
 import pytest
 
 from msal_cli import light_dataclass
@@ -39,6 +40,7 @@ def test_they_are_as_those_of_the_library():
     assert ours[0] == OURS(1.0, names=["b"]) != OURS(1.0, secret=1) and ours[0] != theirs[0]
     assert dataclasses.replace(ours[0], x=2.0) == OURS(2.0) == copy.deepcopy(OURS(2.0))
     assert copy.copy(POINT(3)) == POINT(3) and not hasattr(POINT(3), "__dict__")
+    assert "x=array([[0., 0." in repr(POINT(np.zeros((99, 9))))
 
 
 @pytest.mark.parametrize("kind", [OURS, THEIRS])

@@ -178,7 +178,7 @@ class _Search:
 
     def _are_off_noise(self, are_certain: bool, share: float) -> bool:
         """Whether the outliers are displaced much farther than the noise of the other vertices.  If
-        none is certain, there must be noise, and more outliers than it has by itself."""
+        none is certain, there must be noise, and more outliers than noise alone has."""
         if (not are_certain and share <= USUAL) or self._are_in_noise(share):
             return False
         after = self._noise()

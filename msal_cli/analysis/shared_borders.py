@@ -1,7 +1,7 @@
 """Border points that the meshes of a set of files share.
 
 A border point is a position at an end of a boundary edge.  Vertices of one mesh that coincide are
-one point, because they are welded when the mesh is denoised by itself.
+one point, because they are welded when the mesh is denoised alone.
 """
 
 from collections.abc import Iterator, Sequence

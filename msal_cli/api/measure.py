@@ -70,8 +70,8 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
 
     The estimate does not depend on the mesh's rotation, position or scale, and hardly takes longer
     for a large mesh.  White noise of 0.05 to 0.7 mean edge lengths is estimated to within some per
-    cent, correlated noise to within about 15 %.  Detail as fine as the mesh itself cannot be told
-    from noise: the interval shows how much of the level may be detail.
+    cent, correlated noise to within about 15 %.  Detail as fine as the mesh itself looks like
+    noise: the interval shows how much of the level may be detail.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ length."""
 
 TOUCHING = 0.15
 """Distance to its nearest neighbour, local edge lengths, below which a vertex is not off the
-surface by itself: tips of needle triangles, and 1 in 500 outliers."""
+surface alone: tips of needle triangles, and 1 in 500 outliers."""
 
 UNLIKE_EDGES = 6.0
 """Ratio of the 90 % to the 10 % quantile of the edges around above which no fit is reliable: scans

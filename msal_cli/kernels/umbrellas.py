@@ -58,8 +58,11 @@ def even_out(
     share: float,
     longest: float,
 ) -> Floats:
-    """Positions (n, 3), the ``free`` ones (n,) by ``share`` of the umbrella within the tangent
-    plane of their normals (n, 3), where that is at most ``longest``."""
+    """The ``positions`` (n, 3), file units, after one relaxation of the triangles.
+
+    Each ``free`` vertex (n,) moves by ``share`` (0 to 1; more is more even) of its umbrella within
+    the tangent plane of its unit normal (n, 3), unless that is longer than ``longest``, file units.
+    """
     args = positions, normals, ring_start, ring, free, share, longest
     return fill_array(_even_out, positions.shape, *args)
 

@@ -51,7 +51,7 @@ FORMAT = 1
 MIN_WHITE, MAX_WHITE = 0.65, 2.0
 """Smallest lower quartile and largest mean of the power of the finest ripples, over that of white
 noise of the given level.  Correlated noise has less, and noise stronger than its given level more;
-neither can be told from shape."""
+neither can be distinguished from shape."""
 
 UNEVEN = 0.8
 """Share of the power of the finest ripples around a vertex that counts as noise."""

@@ -150,7 +150,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
 
 
 def _round(value: float | None) -> float | None:
-    """Round to six digits: nobody reads more, and they would make large pages larger."""
+    """Round to six digits, which are enough to read; more would make large pages larger."""
     if value is None or isinstance(value, int):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None

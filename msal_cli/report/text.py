@@ -16,7 +16,7 @@ MAX_LINES = 8
 """Lines for a single file; -v shows all."""
 
 MAX_ROWS = 40
-"""Files in the table; nobody reads a longer one, and reports have every row."""
+"""Largest number of files in the table; reports have all rows."""
 
 MAX_WARNINGS = 20
 MAX_FAILURES = 200

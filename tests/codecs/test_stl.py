@@ -48,9 +48,6 @@ def moved(file, amount=0.25):
     return vertices
 
 
-# Identities
-
-
 def require_corners(file, corners):
     """The corners are read exactly, and vertices are numbered in the order of the file."""
     assert np.array_equal(corners_of(file), corners)

@@ -205,9 +205,9 @@ SURE_FIELD = 0.995
 
 FIELD_SIDED, FIELD_OUTLINE, FIELD_SPREAD, FIELD_REGULAR = 0.99, 6.0, 3.4, 0.85
 """A mesh is a decimated height field above this share of normals within 90 degrees of their mean,
-up to this number of boundary vertices over the square root of all (3 to 5 on 100 fields; 8 to 25 on
-decimated scans of depth cameras, which have gaps), above this ratio of the 95 % and 5 % quantiles
-of edge lengths, and below this share of vertices of valence 6."""
+up to this number of boundary vertices over the square root of all (0.5 to 5 on 95 fields; 8 to 18
+on 10 of 12 decimated scans of depth cameras, which have gaps), above this ratio of the 95 % and 5 %
+quantiles of edge lengths, and below this share of vertices of valence 6."""
 
 BENDING = ("white", "isotropic", "correlated")
 """Kinds of noise that leave hardly an edge flat."""
