@@ -114,10 +114,9 @@ def _layout(scene: gltf_scene.Scene) -> mesh_file.Layout:
     faces, normals = [], []
     first = 0
     for part, slots, frame in zip(parts, positions, frames, strict=True):
-        mesh_file.require_finite(
-            slots.values, f"accessor {part.positions.index}, vertex {{}}".format
-        )
         own = np.concatenate(list(part.triangles.values()))
+        where = f"accessor {part.positions.index}, vertex {{}}".format
+        mesh_file.find_unplaced(slots.values, np.arange(slots.count), where)
         turned = mesh_file.keep_winding(own, frame) if is_framed else own
         faces.append(turned + np.int32(first))
         if part.normals is not None:

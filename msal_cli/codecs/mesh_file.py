@@ -172,28 +172,33 @@ class Layout:
     faces: Ints | None = None
     # (n, 3), if the parser has read them; the file takes them over
     vertices: Floats | None = None
+    # result of ``find_unplaced``, for one array of positions: these are 0 outside the file
+    unplaced: Longs = field(default_factory=lambda: _NONE)
     # computes from the old and the new vertices each array of normals (g_i, 3), and which rows
     # changed (g_i,); None for the default, which does not support ``frames``
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
 
 
-def require_finite(
-    vertices: NDArray[Any], where: Callable[[int], str] = "vertex {}".format
-) -> None:
-    """Raise ContentError (``E_NONFINITE``) if a position (n, 3) is NaN or infinite.
+def find_unplaced(
+    vertices: NDArray[Any], corners: Ints | Longs, where: Callable[[int], str] = "vertex {}".format
+) -> Longs:
+    """The vertices (k,) whose positions, of (n, 3), are NaN or infinite: samples that an organized
+    point cloud lacks.
 
-    ``where`` gives the place of a vertex as text.
+    Raises ContentError (``E_NONFINITE``) if one is among the ``corners`` of the faces; ``where``
+    gives the place of a vertex as text.
     """
     # Fast path: a finite sum proves that all are finite (otherwise it may have overflowed).
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(vertices.sum()):
-            return
-    is_finite = np.isfinite(vertices).all(axis=1)
-    if not is_finite.all():
-        vertex = int(np.argmin(is_finite))
+            return _NONE
+    unplaced = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(used := unplaced[np.isin(unplaced, corners)]):
+        vertex = int(used[0])
         raise not_finite(
             f"vertex {vertex} has a coordinate that is not a finite number", where(vertex)
         )
+    return unplaced
 
 
 def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
@@ -253,8 +258,11 @@ class MeshFile(Surface):
                     f"the file has no surface faces; it holds {held}",
                     hint="msal denoises surfaces: make one of these points or cells first",
                 )
-            require_finite(self.vertices)
             corners = layout.corners.astype(np.int64, copy=False)
+            is_single = len(layout.positions) == 1 and not layout.frames
+            layout.unplaced = find_unplaced(
+                self.vertices, corners if is_single else np.arange(len(self.vertices))
+            )
             text_slots.require_indices(corners, len(self.vertices))
             faces = cut_polygons(corners.astype(np.int32), layout.sizes)
         self.faces = faces
@@ -262,6 +270,13 @@ class MeshFile(Surface):
         self.properties = layout.properties
         self.references = layout.references
         self.warnings = layout.warnings
+        if len(layout.unplaced):
+            points = format_count(len(layout.unplaced), "vertex")
+            self.warnings += (
+                f"{points} without a finite position, used by no face: kept, (0, 0, 0) in other "
+                "formats",
+            )
+            self.forget_vertices()
 
     @property
     def vertices(self) -> Floats:  # type: ignore[override]
@@ -271,6 +286,7 @@ class MeshFile(Surface):
             if frames := self._layout.frames:
                 arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
             self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+            self._vertices[self._layout.unplaced] = 0.0
         return self._vertices
 
     def forget_vertices(self) -> None:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons
+from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons, find_unplaced
 from msal_cli.codecs.text_slots import (
     SHORTEST,
     Statements,
@@ -245,7 +245,7 @@ class _Reader:
             keyword = buf[at : at + size].tobytes()
             before, first = keywords.get(keyword, (0, at))
             keywords[keyword] = before + count, first
-        self._require_mesh(positions, corners, sizes, keywords)
+        unplaced = self._require_mesh(positions, corners, sizes, keywords)
         faces = cut_polygons(corners, sizes)
         layout = Layout(
             "ascii",
@@ -254,6 +254,7 @@ class _Reader:
             corners,
             sizes,
             faces=faces,
+            unplaced=unplaced,
             properties=_name_properties(state, keywords),
             references=_find_references(self._data, self._libraries[: int(state[scan.LIBRARIES])]),
             warnings=_describe_warnings(state, keywords, functools.partial(line_of, self._data)),
@@ -412,8 +413,8 @@ class _Reader:
 
     def _require_mesh(
         self, positions: _Rows, corners: Ints, sizes: Ints, keywords: Keywords
-    ) -> None:
-        """Raise unless the faces are complete, and their positions exist and are finite."""
+    ) -> Longs:
+        """The result of ``find_unplaced``; raises unless faces are complete and vertices exist."""
         state, n_vertices = self._state, len(positions.at)
         last_short = int(state[scan.LAST_SHORT_AT])
         if state[scan.SHORT] and self._is_last_line(last_short):
@@ -424,13 +425,11 @@ class _Reader:
             )
         if not n_vertices or not len(sizes):
             raise _no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
-        finite = np.isfinite(positions.values)
-        if not finite.all():
-            bad = int(np.argmin(finite.all(axis=1)))
-            raise errors.not_finite(
-                f"the position {tuple(positions.values[bad].tolist())} is not finite",
-                f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
-            )
+        unplaced = find_unplaced(
+            positions.values,
+            corners,
+            lambda bad: f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
+        )
         # The largest index may be from a face that is not part of the mesh.
         if state[scan.LARGEST_VERTEX] >= n_vertices and (is_bad := corners >= n_vertices).any():
             corner = int(np.argmax(is_bad))
@@ -444,6 +443,7 @@ class _Reader:
             place = self._place(int(again[scan.LAST_FACE_AT]))
             shown = "2147483648 or more" if number >= 2**31 else str(number)
             raise _bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
+        return unplaced
 
 
 def _name_properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:

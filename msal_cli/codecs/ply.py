@@ -350,10 +350,11 @@ def parse(data: Buffer) -> PlyLayout:
     sections, end = find_sections(content, header, wanted_names)
     positions = sections["vertex"].slots(ply_header.POSITION)
     vertices = positions.values
-    mesh_file.require_finite(vertices, sections["vertex"].where)
     # Read now, so that an invalid number is reported before any work is done.
     normals = (sections["vertex"].slots(ply_header.NORMAL),) if has_normals(vertex) else ()
     surface = find_surface(sections, header, vertices)
+    corners = surface.triangles if surface.grid is None else surface.grid
+    unplaced = mesh_file.find_unplaced(vertices, corners, sections["vertex"].where)
     rest = content[end:]
     n_trailing = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     warnings = []
@@ -383,6 +384,7 @@ def parse(data: Buffer) -> PlyLayout:
         positions=(positions,),
         normals=normals,
         vertices=vertices,
+        unplaced=unplaced,
         faces=surface.triangles,
         corners=surface.corners,
         sizes=surface.sizes,
@@ -473,6 +475,8 @@ class PlyFile(mesh_file.MeshFile):
             patches = plan_patches(changes, have_own=False)
             lines = replace_statements(data, patches) if changes else data.data
             return text + lines[old.size :]
+        vertices = vertices.copy()
+        vertices[layout.unplaced] = layout.positions[0].values[layout.unplaced]
         new = [vertices, *(change.values for change in self._changed_normals(vertices))]
         values = dict(zip(names, np.concatenate(new, axis=1).T, strict=True))
         from msal_cli.codecs.ply_write import recode

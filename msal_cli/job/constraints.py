@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
-from msal_cli.codecs.mesh_file import Surface
+from msal_cli.codecs.mesh_file import MeshFile, Surface
+from msal_cli.codecs.text_slots import extent_decimals
 from msal_cli.errors import ContentError
 from msal_cli.job.settings import AXES, COMPARISONS, Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
@@ -27,6 +28,7 @@ class Constraints:
     mesh: Mesh  # to be denoised, with the pins and the trust
     held: Flags | None  # (n,) vertices that are pinned, or None
     limit: float | None  # largest displacement of a vertex in file units, or None
+    step: float = 0.0  # last decimal of positions in text, file units
 
     def apply(self, vertices: Floats) -> tuple[Floats, int]:
         """A method's result (n, 3) with pinned vertices back in their place and the displacement of
@@ -40,7 +42,7 @@ class Constraints:
             vertices = np.where(self.held[:, None], before, vertices)
         if limit is None:
             return vertices, 0
-        lengths = distances(before, vertices)
+        lengths, limit = distances(before, vertices), limit - self.step
         beyond = np.flatnonzero(lengths > limit)
         if len(beyond):
             vertices = vertices.copy()
@@ -77,8 +79,10 @@ def build_constraints(
         held |= _spread_largest(ready, file_pins.astype(np.float64)) > 0.0
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
-    pins = held if settings.lock or pinned is not None else None
-    return Constraints(mesh.with_constraints(pins, trust), pins, limit)
+    pins, step = held if settings.lock or pinned is not None else None, 0.0
+    if isinstance(mesh_file, MeshFile) and mesh_file.precision == "text":
+        step = 10.0 ** -(extent_decimals(mesh_file.vertices) or 0)
+    return Constraints(mesh.with_constraints(pins, trust), pins, limit, step)
 
 
 def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:

@@ -7,6 +7,8 @@ is tested beside that format.
 import functools
 import gc
 import itertools
+import math
+import struct
 
 import numpy as np
 import pytest
@@ -50,7 +52,22 @@ def one_number_to_a_line() -> bytes:
     return f"{head}\nPOINTS 24 float\n{numbers}\nPOLYGONS 22 88\n{faces}\n".encode()
 
 
+def with_unplaced() -> dict[str, bytes]:
+    """Files whose second vertex has no finite position, and no face."""
+    points = [[0, 0, 0], [1, math.nan, -math.inf], [1, 0, 0], [0, 1, 0]]
+    lines = ["{} {} {}\n".format(*point) for point in points]
+    head = "".join(f"property double {axis}\n" for axis in "xyz")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 4\n{head}element face 1\n"
+    head += "property list uchar int vertex_index\nend_header\n"
+    return {
+        "off": "".join(["OFF\n4 1 0\n", *lines, "3 0 2 3\n"]).encode(),
+        "obj": "".join([*("v " + line for line in lines), "f 1 3 4\n"]).encode(),
+        "ply": head.encode() + np.array(points).tobytes() + struct.pack("<B3i", 3, 0, 2, 3),
+    }
+
+
 CASES = [one for format in FORMATS for one in cases(format)]
+CASES += [pytest.param(*pair, id=f"{pair[0]}-unplaced") for pair in with_unplaced().items()]
 CASES.append(pytest.param("vtk", one_number_to_a_line(), id="vtk-over-lines"))
 FIRST = [cases(format)[0] for format in FORMATS]
 

@@ -255,7 +255,14 @@ def test_pieces_read_what_one_walk_reads() -> None:
         for text_, is_plain in ((data.replace(b"# v", b"# w"), True), (data, False)):
             file, could = read_in_pieces(text_, n_pieces)
             assert (could, facts(file)[:5]) == (is_plain, whole[:5])
-    for wrong in (b"v 0 0 x\n", b"f 1 2 0\n", b"f 1 2 99\n", b"vn 1\n", b"v 0 0 nan\n", b"f 1 2"):
+    for wrong in (
+        b"v 0 0 x\n",
+        b"f 1 2 0\n",
+        b"f 1 2 99\n",
+        b"vn 1\n",
+        b"v 0 0 nan\nf 1 2 -1\n",
+        b"f 1 2",
+    ):
         with pytest.raises(InputError) as expected:
             obj.read(data + wrong)
         with pytest.raises(InputError) as found:
@@ -383,7 +390,7 @@ DAMAGED = {
         ([b"v 0 0 0", b"g a \\", b"b", b"f 1 1 2"], "line 4"),
         ([b"v 0 0 0", b"# a \\", b"f 1 1 2"], "line 3"),
         ([b"\xef\xbb\xbfv 0 0 0", b"", b"", b"f 1 1 0"], "line 4"),
-        ([b"v 0 0 0", b"v 0 nan 0", b"f 1 1 1"], "line 2"),
+        ([b"v 0 0 0", b"v 0 nan 0", b"f 1 1 2"], "line 2"),
     ],
 )
 def test_lines_are_counted_for_every_line_end(lines: list[bytes], place: str, end: bytes) -> None:
