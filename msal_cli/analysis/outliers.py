@@ -8,14 +8,7 @@ import math
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import (
-    NoiseLevel,
-    estimate_noise,
-    has_flat_edges,
-    has_uneven_edges,
-    is_non_manifold,
-)
-from msal_cli.analysis.noise_estimate.patterns import are_mirrored
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise, has_flat_edges
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
@@ -66,7 +59,7 @@ just its tail.  Impulsive noise on many vertices has less, and a filter for it d
 MIN_ALIGNED, ALIGNED_SHARE, TIP_FACES = 3, 0.5, 3
 """Outliers are points of a design if so many of them, and such a share, have exactly the same
 coordinate, like corners of long thin faces; or have at most ``TIP_FACES`` faces, which is rare in
-scans.  So they are if such a share has mirror images."""
+scans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +165,6 @@ class _Search:
         n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in coordinates)
         n_tips = np.count_nonzero(np.diff(mesh.topology.ring_start)[self.flags] <= TIP_FACES)
         are_designed = max(n_aligned, n_tips) >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
-        are_designed |= are_mirrored(mesh, np.flatnonzero(self.flags), ALIGNED_SHARE)
         are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
@@ -188,9 +180,7 @@ class _Search:
             return False
         if after.is_negligible:
             moved = self.mesh.with_vertices(self.positions)
-            is_design = has_uneven_edges(moved) or is_non_manifold(moved)
-            is_design |= share < FEW and has_flat_edges(moved)
-            return are_certain and not is_design
+            return are_certain and not (share < FEW and has_flat_edges(moved))
         is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible
 

@@ -287,21 +287,6 @@ def list_edge_lengths(count, vertices, ring_start, ring, lengths):
 
 
 @compiled
-def is_any_near(point, near, first, vertices):
-    """Whether a vertex is within ``near`` of a ``point`` (3,) along each axis; ``first`` is the
-    axis that is tested first."""
-    second, third = (first + 1) % 3, (first + 2) % 3
-    for i in range(len(vertices)):
-        if (
-            abs(vertices[i, first] - point[first]) <= near
-            and abs(vertices[i, second] - point[second]) <= near
-            and abs(vertices[i, third] - point[third]) <= near
-        ):
-            return True
-    return False
-
-
-@compiled
 def _row_sums(start, stop, values, row_start, row, sums):
     for i in range(start, stop):
         total = 0.0

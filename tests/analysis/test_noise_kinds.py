@@ -81,21 +81,6 @@ def test_shape_that_repeats_is_left_alone(name, monkeypatch):
     assert name == "waves" or not all(noise.is_negligible for noise in seen)
 
 
-def test_a_mirrored_model_is_a_design():
-    """Halves alike to a hundredth of an edge, with bumps of which no place repeats another."""
-    flat, faces = grid(81, 61)
-    half = np.random.default_rng(5).standard_normal((81, 61))
-    for noise, is_design in ((0.0, True), (0.1, False)):
-        heights = 0.1 * (half + half[::-1]) + noise * np.random.default_rng(6).standard_normal(
-            half.shape
-        )
-        mesh = prepare_mesh(
-            flat + np.column_stack([0 * flat[:, :2], heights.reshape(-1)]), faces
-        ).mesh
-        assert patterns.are_mirrored(mesh, np.arange(len(flat)), 0.999) == is_design
-        assert noise_estimate.estimate_noise(mesh).is_negligible == is_design
-
-
 def test_a_plane_wave_explains_itself(smooth, monkeypatch):
     monkeypatch.setattr(patterns, "MIN_EXPLAINED", 0.99)
     rough, _ = with_noise(smooth, "gaussian-normal")

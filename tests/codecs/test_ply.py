@@ -373,8 +373,8 @@ DAMAGED = {
         "face 2"),
     "binary: wrong byte order": (tetra(LE, list=[("vertex_indices", "int",
         "int")]).replace(b"little", b"big"), "E_TRUNCATED", "face 0"),
-    "binary: NaN": (tetra(LE, corners=[*CORNERS[:3], [0, float("nan"), 0]]), "E_NONFINITE",
-        "vertex 3"),
+    "binary: NaN": (tetra(LE, corners=[*CORNERS[:2], [0, float("nan"), 0]]), "E_NONFINITE",
+        "vertex 2"),
     "binary: signalling NaN": (tetra(LE).replace(struct.pack("<f", 1.0), b"\x01\x00\x80\x7f"),
         "E_NONFINITE", "vertex 1"),
     "binary: strip index": (binary(

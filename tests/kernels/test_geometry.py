@@ -9,7 +9,6 @@ from msal_cli.kernels.geometry import (
     LARGEST_ANGLE,
     count_parallel,
     face_normals_and_areas,
-    is_any_near,
     list_edge_lengths,
     normals_and_flat_faces,
     regroup_normals,
@@ -97,9 +96,6 @@ def test_what_is_looked_for_around_vertices_is_what_numpy_finds():
     counts, turned = np.empty(9, dtype=np.int64), np.ascontiguousarray(normals.T)
     count_parallel(normals[:9].copy(), turned, 0.9, counts)
     assert counts.tolist() == (np.abs(normals[:9] @ turned) > 0.9).sum(axis=1).tolist()
-    for near, is_there in ((0.01, False), (0.3, True)):
-        assert is_any_near(x[5] + 0.1, near, 1, x) == is_there
-        assert (np.abs(x - x[5] - 0.1) <= near).all(axis=1).any() == is_there
     met, found = np.zeros(len(x), dtype=bool), np.empty(90, dtype=np.int64)
     count = collect_near(5, normals[5], 1.5, x, normals, starts, ring, met, found)
     is_near = (np.linalg.norm(x - x[5], axis=1) < 1.5) & (normals @ normals[5] > 0.0)

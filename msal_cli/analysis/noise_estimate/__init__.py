@@ -52,7 +52,7 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     Reading,
 )
-from msal_cli.analysis.noise_estimate.patterns import are_mirrored, is_patterned
+from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.faces import dihedral_angles, flaps
@@ -69,8 +69,6 @@ __all__ = [
     "Reading",
     "estimate_noise",
     "estimate_regions",
-    "has_uneven_edges",
-    "is_non_manifold",
     "lend_estimate",
 ]
 
@@ -122,10 +120,9 @@ FEW_VERTICES, MAX_FEW = 512, 0.75
 """With fewer vertices designs look like scans (a cone of 34, a ring of 128, a patch of 432), and
 the probability of noise is at most this."""
 
-QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
+QUIET, SURE_NOISE, SURE_DESIGN = 0.06, 0.95, 0.9
 """Level, mean edge lengths, below which noise of the ``SHARED_KINDS`` needs the probability
-``SURE_NOISE``; ``SURE_DESIGN`` is for terraces and noise that looks like detail of a design, and
-``SURE_FEW`` for few vertices."""
+``SURE_NOISE``; ``SURE_DESIGN`` is for terraces and noise that looks like detail of a design."""
 
 QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 """Level and probability, as above, for noise that differs by region, as detail of a model does."""
@@ -133,14 +130,6 @@ QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
 """If the ratio of the 95 % and 5 % quantiles of edge lengths is greater, as in CAD exports and
 after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, other noise this."""
-
-MIN_AXIS_GAIN = -0.15
-"""Gain (see ``AxisEvidence.gain``) below which noise along an axis needs ``SURE_SPREAD``: two
-coarse models of a face have -0.22 and -0.19, at probabilities of 0.68 and 0.73; of 504 meshes with
-noise along the view 6 have both."""
-
-SURE_UNNAMED = 0.98
-"""As ``SURE_NOISE``, for noise of an unknown kind on a mesh with flat edges."""
 
 MAX_NON_MANIFOLD, SURE_DECIMATED = 0.001, 0.98
 """Share of non-manifold edges above which noise needs this probability, or ``SURE_DESIGN`` if it is
@@ -164,10 +153,6 @@ MAX_OPEN = 0.01
 
 MAX_DOUBTFUL = 0.89
 """Largest probability of noise that is rejected for other reasons; it makes the estimate unsure."""
-
-MIN_MIRRORED = 0.9
-"""Share of the vertices with a mirror image above which a mesh is a design: 0.92 and more on
-skulls, furniture and other models made by mirroring a half, 0.3 and less on all others."""
 
 MAX_WHITE = 1.25
 """Residual of fits over two rings at the flattest fifth of the vertices, over the level of white
@@ -245,17 +230,6 @@ def estimate_noise(mesh: Mesh) -> NoiseLevel:
 def lend_estimate(noise: NoiseLevel, part: Mesh) -> None:
     """Use the ``noise`` of the whole mesh, whose estimate is better, for a ``part`` of it."""
     _LENT[part] = noise
-
-
-def has_uneven_edges(mesh: Mesh) -> bool:
-    """Whether edge lengths differ as much as in CAD exports, and hardly ever in scans."""
-    return gather_evidence(mesh, estimate_white(mesh)).edge_spread > MAX_SPREAD
-
-
-def is_non_manifold(mesh: Mesh) -> bool:
-    """Whether the mesh has as many non-manifold edges as decimation leaves, and no scanner does."""
-    links = mesh.topology
-    return links.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(links.ring)
 
 
 def estimate_regions(mesh: Mesh) -> Floats:
@@ -438,12 +412,12 @@ def characterize(mesh: Mesh) -> Estimate:
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     needed = _needed_probability(verdict, measured, evidence)
-    if is_non_manifold(mesh):
+    if mesh.topology.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(mesh.topology.ring):
         needed = max(needed, SURE_DESIGN if verdict.kind in INDEPENDENT_KINDS else SURE_DECIMATED)
     if verdict.kind in ALONG_AXIS and _is_decimated_field(mesh, evidence):
         needed = SURE_FIELD
     is_doubtful = is_few or verdict.noise < needed
-    if not is_doubtful and verdict.noise < (SURE_NOISE if is_named else SURE_UNNAMED):
+    if not is_doubtful and verdict.noise < SURE_NOISE:
         is_doubtful = not _is_bent(mesh, verdict, evidence, is_named)
     if is_doubtful or is_weak:
         probability = min(verdict.noise, MAX_DOUBTFUL) if is_doubtful else verdict.noise
@@ -451,7 +425,7 @@ def characterize(mesh: Mesh) -> Estimate:
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
     has_steps = verdict.kind in STEPPED or evidence.steps.n_axes == 3
-    if not has_steps and (_is_mirrored(mesh, verdict) or is_patterned(mesh, evidence.survey)):
+    if not has_steps and is_patterned(mesh, evidence.survey):
         probability = min(verdict.noise, MAX_PATTERNED)
         return _without_noise(white, 1.0 - probability, "shape that repeats", measured)
     character = NoiseCharacter(
@@ -561,10 +535,7 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
     is_patchy = verdict.kind == "correlated" and colour is not None and not colour.is_floor
     if is_detail or is_patchy or verdict.kind == "staircase":
         return SURE_DESIGN
-    axis = evidence.axis if verdict.kind == "view" else None
-    if is_uneven or (axis is not None and axis.gain < MIN_AXIS_GAIN):
-        return SURE_SPREAD
-    return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
+    return SURE_SPREAD if is_uneven else 0.5
 
 
 def _is_decimated_field(mesh: Mesh, evidence: Evidence) -> bool:
@@ -600,12 +571,6 @@ def _is_rounded(mesh: Mesh) -> bool:
     gaps = [np.diff(np.unique(column)).min(initial=np.inf) for column in mesh.vertices.T]
     least, most = (bound * mesh.mean_edge_length for bound in ROUNDING)
     return all(least <= gap <= most for gap in gaps)
-
-
-def _is_mirrored(mesh: Mesh, verdict: Verdict) -> bool:
-    """Whether nearly all vertices have mirror images: noise would leave none, outliers most."""
-    used = np.flatnonzero(mesh.topology.has_ring)
-    return verdict.kind != "outliers" and are_mirrored(mesh, used, MIN_MIRRORED)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:

@@ -1,5 +1,4 @@
-"""Detection of repeating patterns (knurls, threads, fabric, layers of a print) and of mirror
-symmetry, which noise does not have.
+"""Detection of repeating patterns (knurls, threads, fabric, layers of a print), which noise lacks.
 
 Around some vertices the heights above a cubic polynomial are decomposed into plane waves by greedy
 selection.  A few waves explain nearly all of a pattern, and the first one has the same length
@@ -16,8 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from msal_cli.analysis.noise_estimate.fits import Survey
-from msal_cli.arrays import Flags, Floats, Floats32, Longs
-from msal_cli.kernels.geometry import is_any_near
+from msal_cli.arrays import Flags, Floats, Floats32
 from msal_cli.kernels.patch_fits import collect_near
 from msal_cli.kernels.quantiles import median
 from msal_cli.light_dataclass import dataclass
@@ -59,11 +57,6 @@ TINY = 1e-4
 
 MIN_INDEPENDENT = 0.005
 """Waves are ignored if less of their square is independent of polynomials and other waves."""
-
-
-MIRRORED_PLACES, MAX_MIRRORED, NEAR_IMAGE = 200, 200_000, 0.01
-"""Vertices whose mirror images are searched; the largest mesh for which this is done; and the
-tolerance of an image, mean edge lengths."""
 
 
 def is_patterned(mesh: Mesh, survey: Survey) -> bool:
@@ -190,28 +183,3 @@ class Waves:
 def _products(rows: Floats32) -> tuple[Floats32, Floats32]:
     """Squared lengths (2, w) and scalar products (w,) of pairs of rows (2, w, k)."""
     return np.einsum("ijk,ijk->ij", rows, rows), np.einsum("jk,jk->j", *rows)
-
-
-def are_mirrored(mesh: Mesh, vertices: Longs, least: float) -> bool:
-    """Whether more than the share ``least`` of ``vertices`` (k,) have a mirror image in the mesh,
-    across the middle of its bounding box along one axis of the file.  False for large meshes."""
-    if not len(vertices) or len(mesh.vertices) > MAX_MIRRORED:
-        return False
-    is_used = mesh.topology.has_ring
-    used = mesh.vertices if is_used.all() else mesh.vertices[is_used]
-    chosen = mesh.vertices[vertices[:: -(-len(vertices) // MIRRORED_PLACES)]]
-    twice_middle = [column.min() + column.max() for column in used.T]
-    near = NEAR_IMAGE * mesh.mean_edge_length
-    for axis in range(3):
-        images = chosen.copy()
-        images[:, axis] = twice_middle[axis] - images[:, axis]
-        missing = 0
-        for image in images:
-            # Search by another coordinate: designs have many vertices in the mirror plane.
-            missing += not is_any_near(image, near, (axis + 1) % 3, used)
-            # Most meshes are not symmetric, which the first vertices show.
-            if missing >= (1.0 - least) * len(images):
-                break
-        else:
-            return True
-    return False
