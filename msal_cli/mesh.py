@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.errors import ContentError, TooLargeError, format_count
+from msal_cli.errors import ContentError, TooLargeError, format_count, not_finite
 from msal_cli.kernels import array_files, geometry
 from msal_cli.kernels.connectivity import (
     Connectivity,
@@ -391,16 +391,15 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
             if counts_from_1
             else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
         )
-    ends = bounds(vertices)
+    faces, ends = np.ascontiguousarray(faces, dtype=np.int32), bounds(vertices)
     if not np.isfinite(ends).all():
-        finite = np.isfinite(vertices).all(axis=1)
-        raise ContentError(
-            "a position is not finite",
-            code="E_NONFINITE",
-            where=f"vertex {int(np.argmin(finite))}",
-            hint="remove the vertex, or export the scan again",
-        )
-    return vertices, np.ascontiguousarray(faces, dtype=np.int32), ends
+        is_finite = np.asarray(np.isfinite(vertices).all(axis=1))
+        if (is_bad := used_vertices(n, faces) & ~is_finite).any():
+            raise not_finite("a position is not finite", f"vertex {int(np.argmax(is_bad))}")
+        # Samples that an organized point cloud lacks.
+        vertices = np.where(is_finite[:, None], vertices, 0.0)
+        ends = bounds(vertices)
+    return vertices, faces, ends
 
 
 def _reshape_hint(array: NDArray[Any], name: str) -> str:

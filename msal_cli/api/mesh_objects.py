@@ -81,7 +81,7 @@ class MemoryMesh(Surface):
         """New positions (n, 3) in the number type of the given ones; ContentError (``E_RANGE``)."""
         with np.errstate(over="ignore"):
             rounded = vertices.astype(self.dtype)
-        if self.dtype.itemsize < 8 and not np.isfinite(rounded).all():
+        if self.dtype.itemsize < 8 and (np.isfinite(vertices) & ~np.isfinite(rounded)).any():
             raise ContentError(
                 f"a new position is too large for {self.dtype}", code="E_RANGE", hint="give float64"
             )

@@ -211,7 +211,8 @@ def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
         raise UsageError(f"{file.relative!r} is no path below the output folder", path=file.path)
     relative = relative.with_name(output_name(relative.name, to))
     place = str(Path(output) / relative)
-    return Task(file.path, place, file.relative, manifest_dir=output)
+    depth = len(Path(file.path).relative_to(file.root).parts) - 1 if file.root else 0
+    return Task(file.path, place, file.relative, manifest_dir=output, depth=depth)
 
 
 def _refuse_foreign_files(plan: Plan, output: str) -> None:

@@ -15,7 +15,10 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.settings import NoiseKind
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from msal_cli.analysis.added_noise import AddedNoise
+    from msal_cli.job.settings import Task
 
 
 @grouped_command(
@@ -90,8 +93,8 @@ def command(request: Request) -> int:
 
     format = resolve_format(request.format)
     noise = _build_noise(request)
-    targets = _find_targets(request)
-    for _, path in targets:
+    tasks = _find_tasks(request)
+    for path in (task.output for task in tasks):
         if path == STREAM:
             continue
         refuse_target(path, "the output", replaces="")
@@ -101,11 +104,12 @@ def command(request: Request) -> int:
                 hint="give it another name, or --force to replace it",
             )
     n_failed = 0
-    for source, path in targets:
+    for task in tasks:
+        source, path = task.input, task.output
         try:
             # A signal must not leave a temporary file.
             with interrupts.catch_signals():
-                description, warnings = _make_noisy_file(source, path, noise, format)
+                description, warnings = _make_noisy_file(task, noise, format)
         except MsalError as error:
             if STREAM in (source, path):
                 raise
@@ -118,10 +122,10 @@ def command(request: Request) -> int:
             console.say(f"{name}: {escape_for_display(description)}")
             for warning in warnings:
                 console.say(f"warning: {name}: {escape_for_display(warning)}")
-    return console.status_of_files(len(targets), n_failed)
+    return console.status_of_files(len(tasks), n_failed)
 
 
-def _find_targets(request: Request) -> list[tuple[str, str]]:
+def _find_tasks(request: Request) -> Sequence[Task]:
     """Each input with its output; a single pair may have a standard stream."""
     from msal_cli.batch.inputs import discover_inputs
     from msal_cli.batch.plan import build_plan
@@ -130,30 +134,29 @@ def _find_targets(request: Request) -> list[tuple[str, str]]:
     inputs, output = request.inputs, request.output
     patterns = request.include, request.exclude
     if STREAM in (*inputs, output):
-        stream = find_stream(inputs, output)
         if any(patterns):
             raise UsageError(
                 "--include and --exclude are for files, not for standard input or output"
             )
-        return [(stream.input, stream.output)]
+        return [find_stream(inputs, output)]
     if output is None:
         raise UsageError("there is no output", hint="name a file or a folder with -o")
     found = discover_inputs(inputs, *patterns, output=output)
-    tasks = build_plan(found, output, force=request.force).tasks
-    return [(task.input, task.output) for task in tasks]
+    return build_plan(found, output, force=request.force).tasks
 
 
 def _make_noisy_file(
-    source: str, path: str, noise: AddedNoise, format: str | None
+    task: Task, noise: AddedNoise, format: str | None
 ) -> tuple[str, tuple[str, ...]]:
     """Write one output, whole or not at all; returns its description, and warnings."""
     from contextlib import nullcontext
 
     from msal_cli.cli.streams import read_stream
     from msal_cli.codecs import header
-    from msal_cli.job.output import add_noise_to_file, write_output
+    from msal_cli.job.output import add_noise_to_file, carry_references, write_output
     from msal_cli.job.room import room_for_files
 
+    source, path = task.input, task.output
     is_stream = source == STREAM
     target = None if path == STREAM else path
     try:
@@ -164,6 +167,8 @@ def _make_noisy_file(
                 console.put_bytes(made.data)
             else:
                 sources = (0,) if is_stream else (source, *made.sources)
+                if made.references and not is_stream:
+                    warnings += carry_references(made, task)[1]
                 write_output(path, made.data, made.companions, sources)
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None

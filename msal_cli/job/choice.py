@@ -134,11 +134,13 @@ def choose_weaker(
     wishes = Wishes(**settings.parameters)
     if wishes.weaker is None:
         return None
-    was = "--keep shape" if wishes.keep == "shape" else f"--strength {wishes.strength:g}"
-    settings = replace(settings, parameters=asdict(wishes.weaker))
+    weaker, first = wishes.weaker, Wishes(**choice.wishes)
+    was = "--keep shape" if wishes.keep == "shape" else f"--strength {first.strength:g}"
+    instead = f"{weaker.strength:g} instead" if weaker.strength > 0.0 else "left out"
+    settings = replace(settings, parameters=asdict(weaker))
     chosen = prepare(mesh, settings, lambda done, total: None)
     made = replace(chosen.known["choice"], wishes=choice.wishes)
-    why = f"{was} would damage the mesh ({harm.reason}): smoothed less"
+    why = f"{was} would damage the mesh ({harm.reason}): {instead}"
     return settings, replace(
         chosen, known=chosen.known | {"choice": made}, warnings=(*chosen.warnings, why)
     )

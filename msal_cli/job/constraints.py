@@ -14,6 +14,7 @@ from msal_cli.codecs.text_slots import extent_decimals
 from msal_cli.errors import ContentError
 from msal_cli.job.settings import AXES, COMPARISONS, Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
+from msal_cli.kernels.welding import used_vertices
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh, PreparedMesh
 
@@ -95,7 +96,8 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
             f"{name!r} is a coordinate, and says nothing about trust",
             hint="choose another property of the vertices, or denoise without weights",
         )
-    values = mesh_file.vertex_property(name)
+    is_used = used_vertices(len(mesh_file.vertices), mesh_file.faces.astype(np.int32))
+    values = np.where(is_used, mesh_file.vertex_property(name), 0.0)
     finite = np.isfinite(values)
     if not finite.all():
         raise ContentError(

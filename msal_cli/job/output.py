@@ -169,6 +169,16 @@ def write_output(
     atomic.write_whole(path, [data], sources=sources)
 
 
+def carry_references(made: Output, task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Copy the files that an output refers to; what was done, for the record, and warnings."""
+    from msal_cli.storage import sidecars
+
+    given = task.input, task.output
+    notes = sidecars.carry(made.references, *given, force=task.force, depth=task.depth)
+    marked = (note for note in notes if note.startswith("warning: "))
+    return notes, tuple(note.removeprefix("warning: ") for note in marked)
+
+
 # The output of msal noise
 
 

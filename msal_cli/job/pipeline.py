@@ -163,6 +163,8 @@ class FileRun:
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
+        from msal_cli.codecs.mesh_file import PLACEMENT
+
         with self.stage("read"):
             digest = gzip_streams.sha256_meanwhile(data)
             try:
@@ -179,6 +181,8 @@ class FileRun:
                     f"the file says that its unit is {own}, and --unit says {given}",
                     hint=f"give --unit {own}, or none, for this file",
                 )
+            if given and PLACEMENT in mesh_file.properties:
+                self.warn("--unit is that of the mesh's own numbers, which the scene may scale")
         return mesh_file, is_compressed
 
     def build(
@@ -214,12 +218,8 @@ class FileRun:
                 self.know(fields=self._fields_file[1])
             notes: tuple[str, ...] = ()
             if made.references and not task.in_place:
-                from msal_cli.storage import sidecars
-
-                paths = task.input, task.output
-                notes = sidecars.carry(made.references, *paths, force=task.force)
-                marked = (note for note in notes if note.startswith("warning: "))
-                self.warn(*(note.removeprefix("warning: ") for note in marked))
+                notes, warnings = output.carry_references(made, task)
+                self.warn(*warnings)
             if made.companions:
                 from msal_cli.codecs.gltf import write_companions
 
@@ -263,6 +263,8 @@ class FileRun:
                 constraints = build_constraints(ready, mesh_file, settings, pinned)
                 if constraints.held is not None and settings.lock:
                     self.know(locked_vertices=int(constraints.held.sum()))
+                    if constraints.held[ready.mesh.topology.has_ring].all():
+                        self.warn("--lock holds every vertex of the mesh, so none moves")
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
         # Without a look at the mesh, choosing takes no time.

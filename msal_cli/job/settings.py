@@ -128,6 +128,7 @@ class Task:
     input_mark: ObjectMark | None = None
     manifest_dir: str | None = None
     force: bool = False  # replace even materials that an earlier output has beside it
+    depth: int = 0  # folders between the searched folder and the file
 
     @property
     def backup_path(self) -> str:

@@ -44,15 +44,16 @@ def carry(
     output_path: str | os.PathLike[str],
     *,
     force: bool = False,
+    depth: int = 0,
 ) -> tuple[str, ...]:
     """Copy the files that an input refers to, so that they are found from the output's folder.
 
     Each gets the same place relative to the output as it has relative to the input, byte for byte;
     textures that a copied ``.mtl`` names are copied, too.  A file that is there already with the
-    same content is left alone.  An absolute reference needs nothing.  A reference that leaves the
-    output folder, one whose file is missing or not regular, and one that leads out of the input's
-    folder, as a link may, are only reported: a scan from elsewhere must not copy files of this
-    machine along.  To and from URLs nothing is copied.
+    same content is left alone.  An absolute reference needs nothing.  One whose file is missing or
+    not regular, and one that leads out of the folder of the input or of the output, also by a link,
+    are only reported: a scan from elsewhere must not copy files of this machine along.  To and from
+    URLs nothing is copied.
 
     Parameters
     ----------
@@ -60,6 +61,7 @@ def carry(
     input_path, output_path : the mesh files; the output's folder is made if it is missing.
     force : replace other files that are not newer than the existing output: they may be its old
         copies, and belong to no other input of this run.
+    depth : number of folders above the mesh's that the run searched; references may lead there.
 
     Returns what was done, one line for each file; lines that need attention begin with
     ``warning:``.  Raises OutputError: ``E_SIDECAR`` if another file has the name, ``E_WRITE`` if
@@ -71,8 +73,8 @@ def carry(
         more = f" and {len(names) - 3:,} more" if len(names) > 3 else ""
         said = f"{', '.join(names[:3])}{more}"
         return (f"warning: not copied to or from an object store: {said}",) if names else ()
-    source_folder = Path(input_path).parent
-    target_folder = Path(output_path).parent
+    folders = Path(input_path).parent, Path(output_path).parent
+    roots = [folder.joinpath(*[".."] * depth) for folder in folders]
     notes: list[str] = []
     done: set[str] = set()
     made_at = os.lstat(output_path).st_mtime_ns if force and os.path.lexists(output_path) else -1
@@ -87,12 +89,12 @@ def carry(
             notes.append(f"warning: only the first {MAX_REFERENCES} references are followed")
             break
         done.add(reference)
-        relative = _relative(reference, source_folder)
-        notes.append(_carry(reference, relative, source_folder, target_folder, budget, made_at))
+        relative = _relative(reference, folders[0])
+        notes.append(_carry(reference, relative, folders, roots, budget, made_at))
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
-        library = source_folder / relative
-        if _is_within(library, source_folder):
+        library = folders[0] / relative
+        if _is_within(library, roots[0]):
             # A name in a library is relative to the library.
             folder = reference.replace("\\", "/").rpartition("/")[0]
             place = "" if folder in ("", ".") else f"{folder}/"
@@ -130,8 +132,8 @@ def _relative(reference: str, folder: Path) -> Path | None:
 def _carry(
     reference: str,
     relative: Path | None,
-    source_folder: Path,
-    target_folder: Path,
+    folders: Sequence[Path],
+    roots: Sequence[Path],
     budget: list[int],
     made_at: int,
 ) -> str:
@@ -141,7 +143,7 @@ def _carry(
         if _is_absolute(reference):
             return f"{reference} is an absolute path and stays as it is"
         return "warning: a reference without a usable name is left alone"
-    source, target = source_folder / relative, target_folder / relative
+    source, target = (folder / relative for folder in folders)
     if not os.path.isfile(source):
         if source.exists():
             return f"warning: {reference} is not a regular file and is not copied"
@@ -163,10 +165,9 @@ def _carry(
         is_old = target.exists() and target.stat().st_mtime_ns <= made_at
     except OSError as failure:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
-    if not _is_within(target.parent, target_folder):
-        return f"warning: {reference} lies outside the output folder and is not found from there"
-    if not _is_within(source, source_folder):
-        return f"warning: {reference} leads out of the input's folder and is not copied"
+    for path, root, what in zip((source, target.parent), roots, ("input", "output"), strict=True):
+        if not _is_within(path, root):
+            return f"warning: {reference} leads out of the {what} folder and is not copied"
     _copy(source, target, write_whole if is_old else write_new)
     return f"copied {reference}"
 
