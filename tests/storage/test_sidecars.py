@@ -76,6 +76,9 @@ def test_references_that_leave_the_folder(tmp_path):
     (note,) = carry(["../shared.mtl"], source, tmp_path / "b/out/mesh.obj")
     assert note.startswith("warning: ../shared.mtl")
     assert tree(tmp_path) == {"a/shared.mtl": b"newmtl x\n"}
+    # Where the run searched the folder above, it belongs to the meshes.
+    notes = carry(["../shared.mtl"], source, tmp_path / "b/out/mesh.obj", depth=1)
+    assert notes == ("copied ../shared.mtl",) and (tmp_path / "b/shared.mtl").is_file()
 
 
 @pytest.mark.parametrize(
