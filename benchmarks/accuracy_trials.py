@@ -15,9 +15,6 @@ from msal_cli.mesh import Mesh, prepare_mesh
 
 WISHES = {
     AUTO: Wishes(),
-    f"{AUTO} --prefer positions": Wishes(prefer="positions"),
-    f"{AUTO} --prefer normals": Wishes(prefer="normals"),
-    f"{AUTO} --prefer volume": Wishes(prefer="volume"),
     f"{AUTO} --keep texture": Wishes(keep="texture"),
     f"{AUTO} --keep edges": Wishes(keep="edges"),
     f"{AUTO} --keep shape": Wishes(keep="shape"),

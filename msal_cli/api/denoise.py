@@ -35,7 +35,6 @@ from msal_cli.job.settings import (
     Keep,
     Limits,
     Precision,
-    Preference,
     Settings,
     parse,
     to_texts,
@@ -124,7 +123,6 @@ class DenoiseResult:
 class _Options(MethodParameters, total=False):
     """The keyword arguments of ``denoise``, for type checkers."""
 
-    prefer: Preference | None
     keep: Keep | None
     strength: float | None
     assume: Assumption | None
@@ -157,7 +155,6 @@ def denoise(
     faces: Any = None,
     method: MethodName | None = None,
     *,
-    prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
     assume: Assumption | None = None,
@@ -185,8 +182,6 @@ def denoise(
     method : name of a method (``msal methods`` lists them).  None, which is ``"adaptive"``, chooses
         parameters of AL and MSAL; ``"auto"`` chooses among all methods and their mixtures, which
         takes longer and comes closer to the true surface.  With parameters, None is ``"msal"``.
-    prefer : for ``"auto"``, what matters most: ``"positions"``, ``"normals"``, ``"volume"``
-        or ``"balanced"``, the default.  It implies ``method="auto"``.
     keep : what must be preserved: ``"texture"`` (fine relief), ``"edges"`` (sharp ones) or
         ``"shape"`` (the smooth shape beneath the noise); the last two imply ``method="auto"``.
     strength : -2 to 2, relative to the choice: greater is smoother, less keeps more.
@@ -340,7 +335,6 @@ def denoise_file(
     output: Path,
     method: MethodName | None = None,
     *,
-    prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
     assume: Assumption | None = None,
@@ -368,7 +362,7 @@ def denoise_file(
     ----------
     input : a mesh file of any format that msal reads (docs/formats.md), or a URL.
     output : the file to write; an existing one is replaced.  Its suffix decides the format.
-    method, prefer, keep, strength, assume, max_move, despike, min_noise, unit, parameters,
+    method, keep, strength, assume, max_move, despike, min_noise, unit, parameters,
     more : as for ``denoise``.
     lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
         ``"confidence < 0.2"``; or a list of these.
@@ -417,7 +411,6 @@ def denoise_folder(
     output: Path | None = None,
     method: MethodName | None = None,
     *,
-    prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
     assume: Assumption | None = None,

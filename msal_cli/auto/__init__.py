@@ -64,8 +64,6 @@ below 0; and the share of the choice that is applied to keep texture."""
 class Wishes:
     """The user's preferences."""
 
-    # what should be most accurate: ``balanced``, ``positions``, ``normals`` or ``volume``
-    prefer: str = "balanced"
     # what to preserve: ``texture``, ``edges`` or ``shape``; None for no preference
     keep: str | None = None
     strength: float = 0.0  # -2 to 2, relative to the automatic choice: greater is smoother

@@ -40,7 +40,7 @@ TOLERANCE = 1e-9
 """Difference of gradients above which a weight enters the active set."""
 
 
-def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Floats:
+def best_weights(risks: Sequence[Risk], slopes: float) -> Floats:
     """Weights (k,) >= 0 with sum <= 1 of the k filters; the rest is the weight of the input.
 
     They minimize the sum over ``risks`` of
@@ -53,9 +53,8 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
     Parameters
     ----------
     slopes : 0 to 1, the weight of slopes; positions have the rest.
-    drift : weight of the squared mean displacement of the surface, over the error of positions.
     """
-    count = len(risks[0].drift)
+    count = len(risks[0].positions.gain)
     shares = [(1.0 - slopes, slopes)] * len(risks)
     weights = np.zeros(count)
     for _ in range(ROUNDS):
@@ -63,7 +62,6 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
         gain = np.zeros(count)
         for risk, (of_positions, of_slopes) in zip(risks, shares, strict=True):
             gram += of_positions * risk.positions.gram + of_slopes * risk.slopes.gram
-            gram += of_positions * drift * np.outer(risk.drift, risk.drift)
             gain += of_positions * risk.positions.gain + of_slopes * risk.slopes.gain
         weights = least_over_simplex(gram, gain)
         shares = [
@@ -337,7 +335,7 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | No
     more smoothing.  ``what`` begins the reason, such as ``noise 0 e; clean``."""
     if wishes.strength <= 0.0 and wishes.keep != "shape":
         is_less = wishes.strength < 0.0 or wishes.keep == "texture"
-        is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
+        is_wish = wishes.keep is not None and not is_less
         hint = "; --strength 1 smooths it all the same" if is_wish else ""
         return Choice(NONE, {}, f"{what}; left as it is{hint}", surface, noise)
     level = max(noise.high, noise.mean_edges, MIN_NOISE) * STRENGTH**wishes.strength

@@ -31,7 +31,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
 from msal_cli.auto.sample_patch import Part, select_patch
-from msal_cli.kernels.geometry import area_and_volume, face_normals
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods import Method
@@ -82,21 +82,14 @@ class Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Risk:
-    """Errors of blends of the same filters, in positions and in slopes.
-
-    ``drift`` (k,) is the mean normal displacement of the whole surface by each filter, positive
-    outwards: the volume swept over the area, in standard deviations of the noise.  That of a blend
-    is nearly the weighted sum.
-    """
+    """Errors of blends of the same filters, in positions and in slopes."""
 
     positions: Quadratic
     slopes: Quadratic
-    drift: Floats
 
     def of(self, members: Sequence[int]) -> Risk:
         """The same for some of the filters."""
-        positions, slopes = self.positions.of(members), self.slopes.of(members)
-        return Risk(positions, slopes, self.drift[list(members)])
+        return Risk(self.positions.of(members), self.slopes.of(members))
 
     def log_errors(self, floor: float) -> tuple[Floats, Floats]:
         """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
@@ -195,7 +188,6 @@ class SimulatedRisk:
         return Risk(
             _known(seen, np.where(judged[:, None], self._back, 0.0)),
             _known(np.stack([slopes(move) for move in self._moves]), slopes(self._back)),
-            _drift(self._noisy, seen, self._noise.level),
         )
 
 
@@ -224,17 +216,6 @@ def _at_least_some(noise: float, gram: Floats) -> float:
 
 def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
     return noise.at_level(max(noise.level, MIN_NOISE * mesh.mean_edge_length))
-
-
-def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
-    """Volume swept (k,) by displacements (k, m, 3) over the area and the noise; positive outwards.
-
-    Boundary vertices are left out, because their part depends on the origin.
-    """
-    area, volume = area_and_volume(mesh.vertices, mesh.faces)
-    inner = ~mesh.topology.boundary[:, None]
-    swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
-    return np.array(swept) / max(area * noise, np.finfo(float).tiny)
 
 
 # Runs of candidates on one part of the mesh
@@ -320,7 +301,7 @@ class CandidateRuns:
         heights = np.stack([np.einsum("ij,ij->i", move, normals) for move in moves])[:, judged]
         tilts = np.stack([slopes(move) for move in moves])
         places = _known(heights[1:], heights[0])
-        return Risk(places, _known(tilts[1:], tilts[0]), np.zeros(len(candidates)))
+        return Risk(places, _known(tilts[1:], tilts[0]))
 
     def compare(self, moves: Sequence[Floats], true: Mesh) -> tuple[Floats, Floats, Floats]:
         """Errors of k ``moves`` (m, 3) if ``true`` is the surface of the part: logarithms of the

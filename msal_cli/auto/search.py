@@ -89,10 +89,9 @@ _RUNS = 2
 
 HARM = "every filter would add more error than it takes away"
 
-_SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
-_DRIFT = {"volume": 1000.0}
 # For each ``Wishes.keep`` the factor of the noise, and the weight of slopes.
 _KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
+_BALANCED = (1.0, 0.5)
 
 
 def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
@@ -127,10 +126,7 @@ class _Search:
         edges = noise.rms_edges if noise.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * self._width * noise.mean_edges
-        factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
-        if wishes.prefer != "balanced":
-            self.slopes = _SLOPES[wishes.prefer]
-        self.drift = _DRIFT.get(wishes.prefer, 0.0)
+        factor, self.slopes = _KEEP.get(wishes.keep or "", _BALANCED)
         self.wished = factor
         self.level = self.unit = edges * factor * mesh.mean_edge_length
         is_large = len(mesh.vertices) >= LARGE
@@ -159,7 +155,7 @@ class _Search:
                 usable = [BLIND]
             elif not is_drawn:
                 return self._choose_by_mirror(surface)
-            elif surface == MACHINED and self.wishes.prefer == "balanced":
+            elif surface == MACHINED:
                 # The learned filter restores texture only under noise known to be white.
                 is_white = self.noise.character.kind != "unknown"
                 usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
@@ -261,15 +257,15 @@ class _Search:
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
             # Trust scales the pull of one method, not a blend.
-            weights = np.zeros(len(risks[0].drift))
+            weights = np.zeros(len(risks[0].positions.gain))
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
         # Rounded at once, so that rounding errors of the solver have no effect on what follows.
-        return blends.round_weights(blends.best_weights(risks, self.slopes, self.drift))
+        return blends.round_weights(blends.best_weights(risks, self.slopes))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
         """Score (k,) of each single candidate; smaller is better."""
-        score = np.zeros(len(risks[0].drift))
+        score = np.zeros(len(risks[0].positions.gain))
         for risk in risks:
             places, tilts = risk.log_errors(blends.FLOOR)
             score += (1.0 - self.slopes) * places + self.slopes * tilts
@@ -301,7 +297,7 @@ class _Search:
         if members[0] is BLIND:
             return np.ones(1)
         total = float(weights.sum())
-        if surface == MACHINED and self.wishes.prefer == "balanced" and total >= MOST:
+        if surface == MACHINED and total >= MOST:
             return blends.round_weights(weights / total)
         is_robust = members[0].given.get("texture") == ROBUST_LEARNED.given["texture"]
         if is_robust and self.noise.character.rings:

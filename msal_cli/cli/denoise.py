@@ -108,7 +108,7 @@ more:
         """
 --auto
     Choose method and parameters for each mesh; from its noise and its surface. The report says
-    what was chosen, and why. --prefer and --keep edges or shape imply it.
+    what was chosen, and why. --keep edges or shape imply it.
 --keep [texture|edges|shape]
     What must not suffer; fine relief, sharp edges, or the smooth shape beneath the noise.
     [default: as the surface looks]
@@ -119,9 +119,6 @@ more:
     What the roughness of a mesh is where the estimate cannot tell noise from texture; it changes
     nothing where it can. Also without --auto. [default: a mild filter that is not much worse
     either way]
---prefer [positions|normals|volume]
-    What is to come out best: places of vertices, directions of faces, or the enclosed volume.
-    [default: a balance]
 """,
         strength=options.number(-2.0, 2.0),
     ),

@@ -298,7 +298,7 @@ INPUTS = click.Argument(["inputs"], metavar="INPUT...", nargs=-1, required=True,
 
 # Options that contradict or need each other, as tables that one function reads
 
-AUTOMATIC = ("auto", "keep", "strength", "prefer")
+AUTOMATIC = ("auto", "keep", "strength")
 """Options of the automatic choice."""
 
 BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
@@ -311,8 +311,8 @@ _FOR_FILES = (
 )
 
 _AUTO_HINT = (
-    "--keep, --strength and --prefer are for the choice of a method: let it choose, or give "
-    "method and parameters by hand"
+    "--keep and --strength are for the choice of a method: let it choose, or give method and "
+    "parameters by hand"
 )
 _ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
 _ROWS = """
@@ -352,7 +352,7 @@ stdout as_json: the mesh and --json cannot both go to standard output
 _CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
     *re.findall(r"(\w+) (\w+)(?:: (.*))?\n    (.*)\n", _ROWS),
     *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in BY_HAND),
-    *((first, "adaptive", "", _AUTO_HINT) for first in ("auto", "prefer")),
+    ("auto", "adaptive", "", _AUTO_HINT),
     *((first, other, "", _AUTO_HINT) for first in ("automatic", "adaptive") for other in BY_HAND),
     *(("assume", other, "", _ASSUME_HINT) for other in BY_HAND),
     *(

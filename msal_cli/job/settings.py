@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast
     from msal_cli.methods import Method
 
-Preference = Literal["balanced", "positions", "normals", "volume"]
 Keep = Literal["texture", "edges", "shape"]
 Assumption = Literal["noise", "texture"]
 Encoding = Literal["same", "ascii", "binary"]
@@ -328,7 +327,6 @@ def parse_input_format(value: str, label: str = "--format", unit: str | None = N
 
 
 _CHECKS: dict[str, Check | None] = {
-    "prefer": _word_of(Preference),
     "keep": _word_of(Keep),
     "strength": _strength,
     "assume": _word_of(Assumption),
@@ -351,7 +349,7 @@ _CHECKS: dict[str, Check | None] = {
 """The options besides a method and its parameters, by their names in the Python API, each with the
 check of its value; None accepts any value."""
 
-_WISHES = ("prefer", "keep", "strength", "assume")
+_WISHES = ("keep", "strength", "assume")
 
 
 def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
@@ -399,7 +397,7 @@ def _choose_method(
 ) -> tuple[str, dict[str, Any]]:
     """A method's name and all its parameters, or one of ``CHOOSING`` and the wishes."""
     is_adaptive = method == ADAPTIVE or (method is None and not assignments)
-    needs_all = "prefer" in wishes or wishes.get("keep") in ("edges", "shape")
+    needs_all = wishes.get("keep") in ("edges", "shape")
     if method == AUTO or (method is None and needs_all):
         choice = AUTO
     elif not needs_all and (is_adaptive or (wishes and method is None)):

@@ -50,8 +50,8 @@ def test_the_bits_are_those_of_the_command(tmp_path, name, dtype):
 
 def test_the_bits_of_the_automatic_choice_are_those_of_the_command(tmp_path):
     vertices, faces = scan(24, 12)
-    arguments = {"prefer": "normals", "keep": "edges", "strength": 1}
-    options = ["--prefer", "normals", "--keep", "edges", "--strength", "1"]
+    arguments = {"keep": "edges", "strength": 1}
+    options = ["--keep", "edges", "--strength", "1"]
     check_against_command(tmp_path, vertices, faces, arguments, options)
 
 

@@ -45,9 +45,8 @@ def problem(seed, count):
     return moves @ moves.T + 1e-4 * np.eye(count), moves @ aim
 
 
-def risk(places, slopes=None, drift=None):
-    drift = np.zeros(len(places.gain)) if drift is None else np.array(drift)
-    return Risk(places, places if slopes is None else slopes, drift)
+def risk(places, slopes=None):
+    return Risk(places, places if slopes is None else slopes)
 
 
 def quadratic(gram, gain):
@@ -76,16 +75,6 @@ def test_slopes_count_by_their_share():
     assert first[0] == pytest.approx(0.9, abs=0.01)
     assert first == sorted(first, reverse=True)
     assert first[-1] == pytest.approx(0.0, abs=0.01)
-
-
-def test_drift_is_avoided_by_what_drifts_the_other_way():
-    places = quadratic(np.eye(2), [0.5, 0.3])
-    shrinking = risk(places, drift=[-0.5, 0.5])
-    free = best_weights([shrinking], 0.4)
-    bound = best_weights([shrinking], 0.4, drift=1e4)
-    assert free == pytest.approx([0.5, 0.3], abs=1e-3)
-    assert bound @ shrinking.drift == pytest.approx(0.0, abs=1e-3)
-    assert bound[0] == pytest.approx(0.4, abs=1e-2)
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import ground_truth
 from msal_cli import methods
-from msal_cli.analysis.measures import area_and_volume, measure_surface_change
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import NONE, Wishes, adaptive, blends, search
 from msal_cli.auto.candidates import CANDIDATES
@@ -92,29 +92,10 @@ def test_it_is_free_of_scale_and_place():
         assert other.risk == pytest.approx(here.risk, rel=1e-6)
 
 
-@pytest.mark.ci
-def test_what_is_preferred_comes_out_better():
-    true = prepare_mesh(*torus(60, 48)).mesh
-    scan = true.with_vertices(ground_truth.add_plain_noise(true, "gaussian-normal", 0.4, 1))
-    errors = {}
-    for prefer in ("positions", "normals", "volume"):
-        made = made_by(chosen(scan, prefer=prefer), scan)
-        errors[prefer] = (
-            moved_edges(true, made),
-            angle(true, made),
-            abs(area_and_volume(made)[1] / area_and_volume(scan)[1] - 1.0),
-        )
-    # Within what an estimate may err.
-    assert errors["positions"][0] <= 1.02 * errors["normals"][0]
-    assert errors["normals"][1] <= 1.02 * errors["positions"][1]
-    assert errors["volume"][2] <= errors["normals"][2]
-    assert errors["volume"][2] < 0.001
-
-
 @pytest.mark.parametrize(("large", "count"), [(1, 1), (10**9, 2)])
 def test_on_large_meshes_the_learned_filter_runs_once(box_scan, monkeypatch, large, count):
     def of_the_first_two(risks, *others):
-        weights = np.zeros(len(risks[0].drift))
+        weights = np.zeros(len(risks[0].positions.gain))
         weights[:2] = 0.5
         return weights
 
@@ -201,7 +182,6 @@ def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
     ("wishes", "end"),
     [
         ({}, "left as it is"),
-        ({"prefer": "normals"}, "left as it is; --strength 1 smooths it all the same"),
         ({"keep": "edges"}, "left as it is; --strength 1 smooths it all the same"),
         ({"keep": "texture"}, "clean; left as it is"),
         ({"strength": -1.0}, "clean; left as it is"),
@@ -346,24 +326,17 @@ def test_a_machined_part_gets_more_stages(box_scan, monkeypatch, large, stages):
     assert chosen(box_scan).tried == 2, "no linear filters, which blur edges"
 
 
-@pytest.mark.parametrize(
-    ("share", "wishes", "end"),
-    [
-        (0.7, {}, "; learned"),
-        (0.7, {"prefer": "volume"}, "; 70% learned"),
-        (0.3, {}, "; 30% learned"),
-    ],
-)
+@pytest.mark.parametrize(("share", "end"), [(0.7, "; learned"), (0.3, "; 30% learned")])
 def test_the_larger_part_of_the_way_becomes_all_of_it_on_a_machined_part(
-    box_scan, monkeypatch, share, wishes, end
+    box_scan, monkeypatch, share, end
 ):
     def of_the_first(risks, *others):
-        weights = np.zeros(len(risks[0].drift))
+        weights = np.zeros(len(risks[0].positions.gain))
         weights[0] = share
         return weights
 
     monkeypatch.setattr(search.blends, "best_weights", of_the_first)
-    assert end in chosen(box_scan, **wishes).reason
+    assert end in chosen(box_scan).reason
 
 
 def with_kind(mesh, monkeypatch, **changes):
@@ -390,14 +363,14 @@ def test_learned_has_what_no_filter_has_where_neighbours_share_the_noise(
 ):
     with_kind(box_scan, monkeypatch, kind=kind, rings=rings)
     monkeypatch.setattr(
-        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].positions.gain))
     )
     assert f"; {end}" in chosen(box_scan).reason
 
 
 def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
     monkeypatch.setattr(
-        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].positions.gain))
     )
     left = chosen(mesh)
     assert left.method == NONE and "add more error" in left.reason
@@ -409,5 +382,5 @@ def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_hedge_is_the_smaller_share_of_positions_and_slopes(order):
     mild, strong = Quadratic(np.eye(1), np.ones(1)), Quadratic(4.0 * np.eye(1), 2.0 * np.ones(1))
-    risk = Risk(*(mild, strong)[::order], drift=np.zeros(1))
+    risk = Risk(*(mild, strong)[::order])
     assert search._hedge([risk], np.ones(1)) == 0.25

@@ -138,7 +138,6 @@ denoise a.ply -o new --method adaptive --keep edges | --keep: this is for a choi
 denoise a.ply -o new --method umbrella -K 0.3 | K = 0.3 means nothing to the schedule plain
 denoise a.ply -o new --strength 2.5 | '2.5' is not a number from -2 to 2
 denoise a.ply -o new --keep noise | 'texture', 'edges', 'shape'
-denoise a.ply -o new --prefer speed | 'positions', 'normals', 'volume'
 denoise a.ply -o new --max-move 0 | no length above 0
 denoise a.ply -o new --lock confidence | neither 'boundary' nor
 denoise a.ply -o new --weights q --method al | al has none as it is set
@@ -279,7 +278,7 @@ def read_refused():
     for one in FOR_FILES:
         words = [f"{one.split()[0]} is for files, not for standard input"]
         yield pytest.param(f"denoise - -o new.ply {one}", words, 2)
-    for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals"):
+    for one in ("--auto", "--keep edges", "--strength 0"):
         for other in ("--method msal", "--iterations 3", "-K 1", "--mollify 0", "--set a=1"):
             words = [f"{one.split()[0]} ", f" and {other.split()[0]}"]
             yield pytest.param(f"denoise a.ply -o new {one} {other}", words, 2)

@@ -20,7 +20,7 @@ def test_what_is_chosen_among():
     assert parsed(strength=0) == Settings("adaptive")
     assert parsed(strength=1, keep="texture").parameters == {"strength": 1, "keep": "texture"}
     assert parsed(keep="shape").method == parsed(method="auto", assume="noise").method == "auto"
-    wishes = {"prefer": "volume", "keep": "edges", "strength": -1.5}
+    wishes = {"keep": "edges", "strength": -1.5}
     expected = Settings("auto", wishes | {"assume": None})
     assert parsed(**wishes) == parsed(method="auto", **wishes) == expected
     settings = parsed(parameters=[("K", "K", 0.25)])
@@ -52,7 +52,7 @@ def test_values_become_those_of_settings():
 @pytest.mark.parametrize(
     ("given", "argument", "option"),
     [
-        ({"prefer": "looks"}, "prefer = 'looks'", "--prefer = 'looks'"),
+        ({"keep": "looks"}, "keep = 'looks'", "--keep = 'looks'"),
         ({"max_move": 0}, "max_move 0.0: this is no length", "--max-move 0.0: this is no length"),
         ({"lock": ["a"]}, "lock a: this is neither", "--lock a: this is neither"),
         ({"to": "plz"}, "to plz: there is no such", "--to plz: there is no such"),
