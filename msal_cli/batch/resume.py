@@ -466,7 +466,8 @@ class RunEntry(Run):
 class FileRow:
     """One file in a manifest: its record, and when that was made (``at``, see `manifest`).
 
-    ``input`` and ``output`` are the paths of that run; the record of a failure has no output.
+    ``input`` is the path of that run, and ``output`` where its output is now: below the folder of
+    the manifest.  In a report both are paths of that run, and a failure has no output.
     """
 
     at: int
@@ -489,10 +490,10 @@ def read_history(views: Sequence[LogView], place: str) -> RunHistory:
             source, target = map(str, entry.data()["paths"])
         except (KeyError, TypeError, ValueError):
             source, target = entry.name, ""
-        target = target or str(Path(place) / entry.name)
+        here = target if is_url(target) else os.path.abspath(os.path.join(place, entry.name))
         if record is None:
-            record = MeshRecord(input=source, status="planned", output=target)
-        rows.append(FileRow(entry.at, source, target, record))
+            record = MeshRecord(input=source, status="planned", output=target or here)
+        rows.append(FileRow(entry.at, source, here, record))
     return sorted(runs, key=lambda run: run.at), rows
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,23 +74,30 @@ def command(request: Request) -> int:
     report_files.check(outputs, ())
     gates = parse_gates(request.fail_on, MeshRecord, request.unit)
     is_checked = request.check or bool(gates)
-    run, found, remarks, paths = _summarize(request.runs, is_checked)
+    run, rows, remarks, paths = _summarize(request.runs, is_checked)
+    found = [row.record for row in rows]
     done = [record for record in found if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
-    records = with_gates(gates, found)
+    records = named = with_gates(gates, found)
+    if len({record.input for record in records}) < len(records):
+        # Only their outputs tell them apart.
+        here = os.path.join(os.getcwd(), "")
+        names = ((row.output or row.input).removeprefix(here) for row in rows)
+        pairs = zip(records, names, strict=True)
+        named = [replace(record, input=name) for record, name in pairs]
     meshes = [path for record in records for path in (record.input, record.output) if path]
     report_files.check(outputs, [*paths, *meshes])
     if not quiet:
-        console.say_summary(run, records, verbose=request.verbose > 0)
+        console.say_summary(run, named, verbose=request.verbose > 0)
     elif request.fail_on:
-        console.say_lines(text.list_problems(records, False, "Broken gates"))
+        console.say_lines(text.list_problems(named, False, "Broken gates"))
     for remark in remarks:
         console.say(remark, "bad")
     if is_checked:
         report_files.annotate(records)
     try:
-        report_files.write(outputs, run, records, csv_columns=csv_columns, quiet=quiet)
+        report_files.write(outputs, run, records, named=named, csv_columns=csv_columns, quiet=quiet)
     finally:
         if request.as_json:
             console.put_bytes(data.render_json(run, records))
@@ -103,18 +112,21 @@ def command(request: Request) -> int:
     return console.worst_status(status, console.SOME_FAILED) if is_unfinished else status
 
 
+_MAX_HASHED = 10
+"""Files of a run by which its folder is found."""
+
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 
 
 def _summarize(
     names: Sequence[str], is_checked: bool
-) -> tuple[Run, list[MeshRecord], list[str], list[str]]:
-    """The run and the records of these output folders, manifests and reports; remarks on what is
+) -> tuple[Run, list[FileRow], list[str], list[str]]:
+    """The run and the rows of these output folders, manifests and reports; remarks on what is
     missing or still going on; and the paths of the files that were read.
 
     ``is_checked`` also compares the outputs in local folders with their hashes.
 
-    Of several records with the same input and output the newest counts.  The run is the newest
+    Of several rows with the same input and output the newest counts.  The run is the newest
     one; its times span all runs of the same version and settings, and its seconds are those in
     which at least one of them was running.
 
@@ -156,13 +168,44 @@ def _summarize(
             )
         new_runs, new_rows = history
         runs += new_runs
-        rows += new_rows
+        rows += new_rows if len(set(names)) == 1 else _locate(new_rows, path)
     if not runs and not rows:
         remarks.append(f"{', '.join(map(repr, names))}: no run is recorded, it is empty or damaged")
-    records = _newest_records(rows)
-    is_finished = not remarks and all(record.status != "planned" for record in records)
+    newest = _newest_rows(rows)
+    is_finished = not remarks and all(row.record.status != "planned" for row in newest)
     run = _combine(runs, is_finished) if runs else _unknown_run(rows, is_finished)
-    return run, records, remarks, paths
+    return run, newest, remarks, paths
+
+
+def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
+    """The rows of a folder, manifest or report with absolute paths.
+
+    The paths of a run start in a folder that is not recorded: the nearest at or above ``source``,
+    or the current one, where most of the first files are as they were.  If there is none, files
+    that only a report has are not those of any other source.
+    """
+    from msal_cli.batch import manifest, resume
+
+    source = source.parent if source.name.startswith(manifest.PARTS_FOLDER) else source
+    source = Path(os.path.realpath(source))
+    base = source if source.is_dir() else None
+    for folder in (source, *source.parents, Path.cwd()):
+        is_same = [
+            resume.hash_file(path) == sha256
+            for made in (row.record for row in rows[:_MAX_HASHED])
+            for name, sha256 in ((made.input, made.input_sha256), (made.output, made.output_sha256))
+            if name and sha256 and os.path.isfile(path := os.path.join(folder, name))
+        ]
+        if 2 * sum(is_same) >= len(is_same) > 0:
+            base = folder
+            break
+
+    def locate(name: str) -> str:
+        if not name or is_url(name):
+            return name
+        return f"{source}/{name}" if base is None else os.path.realpath(os.path.join(base, name))
+
+    return [replace(row, input=locate(row.input), output=locate(row.output)) for row in rows]
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
@@ -223,8 +266,8 @@ def _read_file(path: Path) -> RunHistory:
     return runs, rows
 
 
-def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
-    """One record for each file, by the path of its input."""
+def _newest_rows(rows: Sequence[FileRow]) -> list[FileRow]:
+    """One row for each file, by the path of its input."""
     named = {row.input for row in rows if row.output}
     newest: dict[str, dict[str, FileRow]] = {}
     for row in sorted(rows, key=lambda row: (row.at, not row.output)):
@@ -235,8 +278,8 @@ def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
             # In a report, a failure has no output, so it counts for all outputs of its input.
             by_output.update(dict.fromkeys(by_output, row))
     # Several outputs of one input may have the same failure.
-    last = {id(row): row.record for by_output in newest.values() for row in by_output.values()}
-    return sorted(last.values(), key=lambda record: record.input.split("/"))
+    last = {id(row): row for by_output in newest.values() for row in by_output.values()}
+    return sorted(last.values(), key=lambda row: row.record.input.split("/"))
 
 
 def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
