@@ -26,7 +26,7 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
-from msal_cli.storage.sidecars import are_in_place
+from msal_cli.storage.sidecars import list_carried
 from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.version import __version__
 
@@ -173,13 +173,8 @@ class _FreshnessCheck:
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
                 return None
             record = entry.record() or MeshRecord(input=task.input, status="up-to-date")
-            if not is_url(task.output):
-                if (fields := record.fields) is not None:
-                    folder, name = os.path.dirname(task.output), os.path.basename(fields.path)
-                    if self._hash(os.path.join(folder, name)) != fields.sha256:
-                        return None
-                if not are_in_place(record.sidecars, task.input, task.output):
-                    return None
+            if _lost_beside(record, task.input, task.output, self.is_stopped.is_set):
+                return None
             method = record.method
             return replace(
                 record,
@@ -498,13 +493,33 @@ def read_history(views: Sequence[LogView], place: str) -> RunHistory:
 
 
 def list_lost(views: Sequence[LogView], folder: str) -> list[str]:
-    """The outputs in a folder that are missing, or changed since they were written."""
+    """The outputs in a folder, and files beside them that belong to them, that are missing, or
+    changed since they were written."""
     entries = manifests.merge_entries(views).values()
-    done = ((os.path.join(folder, entry.name), entry) for entry in entries if entry.status in DONE)
+    lost = []
+    for entry in (entry for entry in entries if entry.status in DONE):
+        path, record = os.path.join(folder, entry.name), entry.record()
+        if not is_same_file(path, entry.output_version, entry.output_sha256):
+            lost.append(path)
+        lost += [] if record is None else _lost_beside(record, record.input, path)
+    return list(dict.fromkeys(lost))
+
+
+def _lost_beside(
+    record: MeshRecord, source: str, output: str, is_stopped: Callable[[], bool] = lambda: False
+) -> list[str]:
+    """The files beside an output that belong to it and are missing or, where their hash is known,
+    changed; none in a store."""
+    if is_url(output):
+        return []
+    known = list_carried(record.sidecars, source, output)
+    if (fields := record.fields) is not None:
+        path = os.path.join(os.path.dirname(output), os.path.basename(fields.path))
+        known.append((path, fields.sha256))
     return [
         path
-        for path, entry in done
-        if not is_same_file(path, entry.output_version, entry.output_sha256)
+        for path, sha256 in known
+        if not os.path.exists(path) or (sha256 and hash_file(path, is_stopped) != sha256)
     ]
 
 

@@ -205,7 +205,19 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
             return name
         return f"{source}/{name}" if base is None else os.path.realpath(os.path.join(base, name))
 
-    return [replace(row, input=locate(row.input), output=locate(row.output)) for row in rows]
+    def split(path: str) -> tuple[str, str]:
+        return os.path.dirname(path), os.path.splitext(path)[1]
+
+    # In a report a failure has no output; it would be beside that of a file like it.
+    like = {split(row.input): split(row.output) for row in rows if row.output}
+    located = []
+    for row in rows:
+        output = row.output
+        if not output and (place := like.get(split(row.input))):
+            name = os.path.splitext(os.path.basename(row.input))[0]
+            output = os.path.join(place[0], name + place[1])
+        located.append(replace(row, input=locate(row.input), output=locate(output)))
+    return located
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
@@ -275,7 +287,7 @@ def _newest_rows(rows: Sequence[FileRow]) -> list[FileRow]:
         if row.output or row.input not in named:
             by_output[row.output] = row
         else:
-            # In a report, a failure has no output, so it counts for all outputs of its input.
+            # A failure without an output counts for all outputs of its input.
             by_output.update(dict.fromkeys(by_output, row))
     # Several outputs of one input may have the same failure.
     last = {id(row): row for by_output in newest.values() for row in by_output.values()}

@@ -7,6 +7,7 @@ untrusted: only regular files in the folder of the .gltf are opened."""
 
 import base64
 import contextlib
+import hashlib
 import json
 import os
 import re
@@ -548,10 +549,11 @@ def _write_companion(
     companion: mesh_file.Companion, folder: Path, earlier: Collection[str], sources: Sources
 ) -> str:
     target = folder / companion.name
+    named = f"{companion.name} (SHA-256 {hashlib.sha256(companion.data).hexdigest()})"
     try:
         is_within = Path(os.path.realpath(target)).is_relative_to(os.path.realpath(folder))
         if target.is_file() and is_within and read_whole(target) == companion.data:
-            return f"{companion.name} is in place already"
+            return f"{named} is in place already"
         if os.path.lexists(target) and companion.name not in earlier:
             raise errors.OutputError(
                 f"there is another {companion.name} beside the output",
@@ -573,7 +575,7 @@ def _write_companion(
             hint="check the permissions of the output folder",
         ) from failure
     write_whole(target, [companion.data], sources=sources)
-    return f"wrote {companion.name}"
+    return f"wrote {named}"
 
 
 def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:

@@ -25,6 +25,9 @@ MAX_BYTES = 4 << 30
 """Bytes of all files that are copied for one mesh; a sparse file can have any size."""
 
 _IN_PLACE = " is in place already"
+_NOTE = re.compile(
+    rf"(?:(?:copied|wrote) )?(.*?)(?: \(SHA-256 ([0-9a-f]{{64}})\))?(?:{_IN_PLACE})?", re.DOTALL
+)
 _PIECE = 8 << 20
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _OPTION = (
@@ -102,13 +105,13 @@ def carry(
     return tuple(note for note in notes if note)
 
 
-def are_in_place(notes: Sequence[str], input_path: str, output_path: str) -> bool:
-    """Whether the files in ``notes``, which ``carry`` returned, are still there."""
-    folder = Path(output_path).parent
-    found = (note.removeprefix("copied ").removesuffix(_IN_PLACE) for note in notes)
-    names = (name for name, note in zip(found, notes, strict=True) if name != note)
-    places = (_relative(name, Path(input_path).parent) for name in names)
-    return all(place is None or (folder / place).exists() for place in places)
+def list_carried(notes: Sequence[str], input_path: str, output_path: str) -> list[tuple[str, str]]:
+    """The files beside an output that ``notes``, the ``sidecars`` of its record, name, and their
+    SHA-256, empty where it is not known."""
+    folder, found = Path(output_path).parent, zip(notes, map(_NOTE.fullmatch, notes), strict=True)
+    named = (match.groups("") for note, match in found if match and match[1] != note)
+    places = ((_relative(name, Path(input_path).parent), sha256) for name, sha256 in named)
+    return [(str(folder / place), sha256) for place, sha256 in places if place]
 
 
 def _is_absolute(reference: str) -> bool:
