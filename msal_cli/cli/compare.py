@@ -92,6 +92,7 @@ def command(request: Request) -> int:
     from msal_cli.batch.inputs import discover_inputs
     from msal_cli.cli.report_files import refuse_target, require_files
     from msal_cli.job.comparison import compare_files, open_mesh_file
+    from msal_cli.job.fields import path_beside
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import need_intersections, parse_gates
@@ -110,7 +111,8 @@ def command(request: Request) -> int:
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
     is_checked = bool(request.checks) or need_intersections(gates)
     # The heat map is made of the files that were measured; a second download would take long.
-    open_file = request.open_file = open_mesh_file if heatmap is None else cache(open_mesh_file)
+    read = partial(open_mesh_file, unit=request.unit)
+    open_file = request.open_file = read if heatmap is None else cache(read)
     compare = partial(
         compare_files, format=request.format, with_intersections=is_checked, open_file=open_file
     )
@@ -133,7 +135,12 @@ def command(request: Request) -> int:
         pairs = {path: compare(before, path) for path in others}
         is_pair = len(pairs) == 1
         return _conclude(request, gates, earlier, pairs, is_pair=is_pair, is_all=not is_pair)
-    first, second = ({file.relative: file.path for file in side} for side in sides)
+    # What --fields wrote beside a mesh is none to compare.
+    beside = [{path_beside(file.relative) for file in side} for side in sides]
+    first, second = (
+        {file.relative: file.path for file in side if file.relative not in names}
+        for side, names in zip(sides, beside, strict=True)
+    )
     records = {}
     for name in dict.fromkeys((*first, *second)):
         missing = before if name not in first else after if name not in second else None

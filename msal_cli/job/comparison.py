@@ -27,7 +27,13 @@ from msal_cli.job.records import (
     SelfIntersections,
     SurfaceDistance,
 )
-from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
+from msal_cli.job.room import (
+    open_mesh,
+    prepare_mesh,
+    refuse_other_unit,
+    room_for_files,
+    to_known_error,
+)
 from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, PreparedMesh
@@ -38,10 +44,13 @@ HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""
 
 
-def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
-    """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
+def open_mesh_file(path: str, format: str | None = None, unit: str | None = None) -> MeshFile:
+    """The mesh file at ``path``; MsalError, which names the path, if it cannot be read or states
+    another ``unit``."""
     try:
-        return open_mesh(header.read_input(path, format), path, format)[0]
+        mesh_file, _ = open_mesh(header.read_input(path, format), path, format)
+        refuse_other_unit(mesh_file.unit, unit)
+        return mesh_file
     except MsalError as error:
         error.path = error.path or path
         raise

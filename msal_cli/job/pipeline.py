@@ -17,7 +17,7 @@ import numpy as np
 
 from msal_cli import machine
 from msal_cli.codecs import header
-from msal_cli.errors import InputError, InternalError, format_count
+from msal_cli.errors import InternalError, format_count
 from msal_cli.job import changes, choice, output, records, room
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import CHOOSING, NO_LIMITS, SELF_INTERSECTIONS, Limits, Settings, Task
@@ -175,12 +175,8 @@ class FileRun:
                 self.know(input_sha256=digest())
             self.know(**changes.file_fields(mesh_file))
             self.warn(*mesh_file.warnings)
-            own, given = mesh_file.unit, self._settings.unit
-            if own and given and own != given:
-                raise InputError(
-                    f"the file says that its unit is {own}, and --unit says {given}",
-                    hint=f"give --unit {own}, or none, for this file",
-                )
+            given = self._settings.unit
+            room.refuse_other_unit(mesh_file.unit, given)
             if given and PLACEMENT in mesh_file.properties:
                 self.warn("--unit is that of the mesh's own numbers, which the scene may scale")
         return mesh_file, is_compressed

@@ -18,7 +18,7 @@ from msal_cli import auto, codecs, machine
 from msal_cli.codecs import header
 from msal_cli.codecs.detection import refuse_no_mesh
 from msal_cli.codecs.header import BASE_BYTES
-from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
+from msal_cli.errors import InputError, InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job.records import Failure, MeshRecord, Planned
 from msal_cli.job.settings import (
     ADAPTIVE,
@@ -215,6 +215,15 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
     refuse_no_mesh(data)  # whatever the name says
     plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
+
+
+def refuse_other_unit(own: str | None, given: str | None) -> None:
+    """Raise InputError if a file states another unit than the one that was given."""
+    if own and given and own != given:
+        raise InputError(
+            f"the file says that its unit is {own}, and --unit says {given}",
+            hint=f"give --unit {own}, or none, for this file",
+        )
 
 
 def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
