@@ -93,6 +93,7 @@ def test_an_output_that_is_current(case):
         lambda case: case.finish(input_sha256=""),
         lambda case: case.finish(output_sha256=""),
         lambda case: case.finish(sidecars=("copied a.mtl",)),
+        lambda case: case.finish(sidecars=(f"wrote in.ply (SHA-256 {'0' * 64})",)),
         lambda case: case.finish(fields=FieldsFile("a.fields.ply", (), "", "", 0.0, 1.0, "hash")),
         lambda case: case.options.update(fresh=True),
         lambda case: case.begin(),

@@ -120,13 +120,11 @@ def test_self_intersections_are_counted_on_request(pushed, tmp_path):
     assert counts["before"] > 0 and counts["created"] <= counts["after"]
     # The file was made again to be counted, and is current now.
     assert {record["status"] for record in counted.values()} == {"written"}
-    again = records_of(msal(*words, *CHECK))
-    assert {record["status"] for record in again.values()} == {"up-to-date"}
+    assert {one["status"] for one in records_of(msal(*words, *CHECK)).values()} == {"up-to-date"}
     # A gate asks for the count too.
     gate = ("--fail-on", "self_intersections.before > 0")
     made = msal("denoise", pushed, "-o", tmp_path / "gated", *gate)
-    assert made.exit_code == 4
-    assert "pushed.ply: self_intersections.before > 0" in made.stderr
+    assert (made.exit_code, "pushed.ply: self_intersections.before > 0" in made.stderr) == (4, True)
     assert msal("report", tmp_path / "gated", *gate).exit_code == 4
 
 
@@ -154,5 +152,6 @@ def test_lengths_have_units_where_that_of_the_files_is_given(scan, tmp_path):
     assert not (tmp_path / "none.ply").exists()
     solid = tmp_path / "a.3mf"
     assert msal(*words, solid).exit_code == 0
-    made = msal("denoise", solid, "-o", tmp_path / "b.3mf", "--unit", "in")
-    assert (made.exit_code, "says that its unit is mm" in made.stderr) == (1, True)
+    for words in (("denoise", solid, "-o", tmp_path / "b.3mf"), ("compare", solid, solid)):
+        made = msal(*words, "--unit", "in")
+        assert (made.exit_code, "says that its unit is mm" in made.stderr) == (1, True)
