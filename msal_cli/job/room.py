@@ -265,8 +265,8 @@ _SECONDS = {ADAPTIVE: (0.17, 1.6), AUTO: auto.SECONDS, "al": (0.05, 1.08), "msal
 _IN_FILES_S_PER_MILLION = 1.0
 """Seconds that the disk adds if arrays are in files: about 2 kB are read for each vertex."""
 
-_BYTES_PER_VERTEX = 75
-"""For a text with twice as many triangles as vertices, and only positions."""
+_BYTES_PER_VERTEX, _STL_BYTES = 75, 520
+"""For a text with twice as many triangles as vertices, and only positions; for one of STL."""
 
 _PACKED = 3
 """Compression ratio of a text."""
@@ -283,7 +283,8 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         n = expected.faces // 2
     if n is None and size is not None:
         plain_size = size * (_PACKED if task.input.lower().endswith(".gz") else 1)
-        n = int(float(f"{plain_size / _BYTES_PER_VERTEX:.2g}"))
+        each = _STL_BYTES if expected.format == "stl" else _BYTES_PER_VERTEX
+        n = int(float(f"{plain_size / each:.2g}"))
     try:
         if not is_url(task.input):
             counted = _check_header(task.input, settings.format)
