@@ -184,10 +184,10 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
     or the current one, where most of the first files are as they were.  If there is none, files
     that only a report has are not those of any other source.
     """
-    from msal_cli.batch import manifest, resume
+    from msal_cli.batch import inputs, manifest, resume
 
-    source = source.parent if source.name.startswith(manifest.PARTS_FOLDER) else source
-    source = Path(os.path.realpath(source))
+    is_manifest = source.name.startswith(manifest.PARTS_FOLDER)
+    source = inputs.resolve(source.parent if is_manifest else source)
     base = source if source.is_dir() else None
     for folder in (source, *source.parents, Path.cwd()):
         is_same = [
@@ -203,7 +203,7 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
     def locate(name: str) -> str:
         if not name or is_url(name):
             return name
-        return f"{source}/{name}" if base is None else os.path.realpath(os.path.join(base, name))
+        return f"{source}/{name}" if base is None else str(inputs.resolve(base / name))
 
     def split(path: str) -> tuple[str, str]:
         return os.path.dirname(path), os.path.splitext(path)[1]

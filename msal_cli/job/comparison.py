@@ -27,13 +27,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     SurfaceDistance,
 )
-from msal_cli.job.room import (
-    open_mesh,
-    prepare_mesh,
-    refuse_other_unit,
-    room_for_files,
-    to_known_error,
-)
+from msal_cli.job.room import check_unit, open_mesh, prepare_mesh, room_for_files, to_known_error
 from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, PreparedMesh
@@ -49,7 +43,7 @@ def open_mesh_file(path: str, format: str | None = None, unit: str | None = None
     another ``unit``."""
     try:
         mesh_file, _ = open_mesh(header.read_input(path, format), path, format)
-        refuse_other_unit(mesh_file.unit, unit)
+        check_unit(mesh_file.unit, unit)
         return mesh_file
     except MsalError as error:
         error.path = error.path or path

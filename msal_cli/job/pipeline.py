@@ -176,7 +176,7 @@ class FileRun:
             self.know(**changes.file_fields(mesh_file))
             self.warn(*mesh_file.warnings)
             given = self._settings.unit
-            room.refuse_other_unit(mesh_file.unit, given)
+            room.check_unit(mesh_file.unit, given)
             if given and PLACEMENT in mesh_file.properties:
                 self.warn("--unit is that of the mesh's own numbers, which the scene may scale")
         return mesh_file, is_compressed

@@ -217,7 +217,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
     return codecs.open_mesh(plain, name, format), is_compressed
 
 
-def refuse_other_unit(own: str | None, given: str | None) -> None:
+def check_unit(own: str | None, given: str | None) -> None:
     """Raise InputError if a file states another unit than the one that was given."""
     if own and given and own != given:
         raise InputError(
