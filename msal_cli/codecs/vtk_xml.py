@@ -422,8 +422,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     if 0 < len(normals) < len(parts):
         normals = []
         warnings.append("normals are kept as they are, since not all pieces have them")
-    cell_data = (piece.find("CellData") for piece in pieces)
-    if any(piece is not None and _find_named(piece, "normals") for piece in cell_data):
+    if any(_find_normals(piece.find("CellData")) for piece in pieces):
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {coding.code_of(part.points_array) for part in parts}
@@ -482,18 +481,18 @@ class _Piece:
         for owner, group in (("point", piece.find("PointData")), ("cell", piece.find("CellData"))):
             names = [array.attributes.get("Name", "") for array in group.children] if group else []
             self.properties += [f"{owner}.{name}" for name in names]
-        group = piece.find("PointData")
-        wanted = group.attributes.get("Normals", "normals") if group is not None else ""
-        array = None if group is None else _find_named(group, wanted)
+        array = _find_normals(piece.find("PointData"))
         if array is not None and coding.code_of(array)[1] == "f":
             self.normals = coding.numbers(array, self.n_points, are_normals=True)
 
 
-def _find_named(group: Element, name: str) -> Element | None:
-    """The array of three components with this name, in any case."""
-    for array in group.all("DataArray"):
+def _find_normals(group: Element | None) -> Element | None:
+    """The array of three components that a group designates as normals, or that has this name, in
+    any case."""
+    name = group.attributes.get("Normals", "normals").lower() if group is not None else ""
+    for array in group.all("DataArray") if group is not None else ():
         own = array.attributes
-        if own.get("Name", "").lower() == name.lower() and own.get("NumberOfComponents") == "3":
+        if own.get("Name", "").lower() == name and own.get("NumberOfComponents") == "3":
             return array
     return None
 
