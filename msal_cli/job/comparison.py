@@ -4,6 +4,7 @@ Like ``pipeline``, ``inspect_file`` and ``compare_files`` never raise for a bad 
 an error.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import fields, replace
@@ -115,7 +116,10 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         else None,
         noise_estimate=changes.noise_field(ready.mesh),
         properties=mesh_file.properties,
-        references=mesh_file.references,
+        references=(
+            *(os.path.relpath(path, os.path.dirname(name)) for path in mesh_file.sources),
+            *mesh_file.references,
+        ),
         warnings=mesh_file.warnings + ((enclosed.words,) if enclosed.is_inside_out else ()),
     )
 
