@@ -85,7 +85,8 @@ def convert(
     single = _is_single(mesh_file, to, encoding, precision)
     digits = _lost_digits(mesh_file, vertices, to) if single else ()
     if to == mesh_file.format:
-        return mesh_file.encoded(vertices, encoding, precision), digits
+        lost = mesh_file.losses_by_encoding() if _is_recoded(mesh_file, encoding) else ()
+        return mesh_file.encoded(vertices, encoding, precision), (*lost, *digits)
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf import SceneFile, repack
 
@@ -104,6 +105,20 @@ def convert(
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
     mesh, losses = _build_mesh(mesh_file, vertices, to)
     return _write(mesh, to, encoding, single), (*losses, *digits)
+
+
+def stale_warnings(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> list[str]:
+    """The warnings of the source about what ``convert`` does not keep, or round."""
+    words = ["rounded"] * (precision != "same")
+    words += [" behind the last ", "facet"] * _is_recoded(mesh_file, encoding)
+    if to != mesh_file.format:
+        words = ["kept", "rounded", "facet"] * ({to, mesh_file.format} != SCENES)
+    return [text for text in mesh_file.warnings if any(word in text for word in words)]
+
+
+def _is_recoded(mesh_file: MeshFile, encoding: str) -> bool:
+    """Whether ``encoding`` is another than that of a file that keeps its format."""
+    return encoding != "same" and (encoding == "ascii") != (mesh_file.encoding == "ascii")
 
 
 def as_stored(
@@ -153,7 +168,7 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
         if prop not in _DERIVED
         and not (colours is not None and _COLOUR_PROPERTIES.match(prop))
         and not (has_normals and _NORMAL_PROPERTIES.match(prop) and to in ("ply", "obj", "stl"))
-    ]
+    ] + mesh_file.things_kept()
     # OBJ has three numbers for a colour.
     if to == "obj" and colours is not None and (colours[:, 3:] < 255).any():
         losses.append("alpha of the vertex colours")
@@ -171,6 +186,11 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
         if not used.all():
             losses.append(f"{format_count(int((~used).sum()), 'vertex')} that no face uses")
     normals = _vertex_normals(vertices, faces) if carries_normals else None
+    stored = mesh_file.with_unplaced(vertices)
+    if to == "ply":
+        vertices = stored
+    elif stored is not vertices and to != "stl":
+        losses.append("positions that are not finite (0 0 0 instead)")
     return _Mesh(vertices, faces, polygons, colours, normals), losses
 
 
@@ -256,7 +276,11 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii is made by the codec, which formats the numbers."""
     from msal_cli.codecs import ply
 
-    positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
+    positions: NDArray[Any] = mesh.vertices
+    if single:
+        # Vertices that no face uses need not be finite.
+        fits = np.isfinite(positions)
+        positions = np.where(fits, as_float32(np.where(fits, positions, 0.0)), positions)
     real = "<f4" if single else "<f8"
     columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
     if mesh.normals is not None:

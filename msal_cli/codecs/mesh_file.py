@@ -232,7 +232,8 @@ class MeshFile(Surface):
     properties : what else is kept unchanged, for reports: ``"vertex.quality float"``,
         ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
     references : other files that this one refers to (materials, textures), as written in the file.
-    warnings : problems of the file that did not prevent reading it.
+    warnings : problems of the file that did not prevent reading it; ``"THING, kept"`` names what
+        no property does, and no other format stores.
     sources : other files that its mesh was read from.
 
     Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is not a
@@ -272,10 +273,7 @@ class MeshFile(Surface):
         self.warnings = layout.warnings
         if len(layout.unplaced):
             points = format_count(len(layout.unplaced), "vertex")
-            self.warnings += (
-                f"{points} without a finite position, used by no face: kept, (0, 0, 0) in other "
-                "formats",
-            )
+            self.warnings += (f"{points} without a finite position, used by no face: kept",)
             self.forget_vertices()
 
     @property
@@ -288,6 +286,24 @@ class MeshFile(Surface):
             self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
             self._vertices[self._layout.unplaced] = 0.0
         return self._vertices
+
+    def with_unplaced(self, vertices: Floats) -> Floats:
+        """``vertices`` (n, 3), with the stored numbers of those without a finite position, or NaN
+        where a text, whose values are kept, has 0 now."""
+        if len(which := self._layout.unplaced):
+            stored = self._layout.positions[0].values[which]
+            vertices = vertices.copy()
+            is_finite = np.isfinite(stored).all(axis=1, keepdims=True)
+            vertices[which] = np.where(is_finite, np.nan, stored)
+        return vertices
+
+    def things_kept(self) -> list[str]:
+        """What the warnings name that no property does, and no other format stores."""
+        return [text.split(", kept")[0] for text in self.warnings if ", kept" in text]
+
+    def losses_by_encoding(self) -> list[str]:
+        """What a change between ascii and binary loses."""
+        return [thing for thing in self.things_kept() if " behind the last " in thing]
 
     def forget_vertices(self) -> None:
         # A layout of text keeps its values; others are read again.

@@ -37,6 +37,7 @@ from msal_cli.codecs.text_slots import (
     SHORTEST,
     Statements,
     extent_decimals,
+    has_comments,
     line_of,
     number_hint,
     usual_decimals,
@@ -255,7 +256,7 @@ class _Reader:
             sizes,
             faces=faces,
             unplaced=unplaced,
-            properties=_name_properties(state, keywords),
+            properties=_name_properties(state, keywords) + ("comments",) * has_comments(self._data),
             references=_find_references(self._data, self._libraries[: int(state[scan.LIBRARIES])]),
             warnings=_describe_warnings(state, keywords, functools.partial(line_of, self._data)),
         )
@@ -489,8 +490,8 @@ def _describe_warnings(
     if state[scan.SHORT]:
         line = line_at(int(state[scan.SHORT_AT]))
         warnings.append(
-            f"{format_count(state[scan.SHORT], 'face has', 'faces have')} fewer than three corners"
-            f" (first in line {line}); kept in the file, left out of the computation"
+            f"{format_count(state[scan.SHORT], 'face')} of fewer than three corners (first in line"
+            f" {line}), kept and left out"
         )
     for number, count, what in (
         (state[scan.LARGEST_TEXTURE], state[scan.TEXTURE], "texture coordinate"),
@@ -515,8 +516,8 @@ def _describe_warnings(
         )
         total = sum(count for count, _ in unknown.values())
         warnings.append(
-            f"{format_count(total, 'line is', 'lines are')} no statement that is known and kept as"
-            f" {'it is' if total == 1 else 'they are'}: {shown}{', ...' * (len(unknown) > _SHOWN)}"
+            f"{format_count(total, 'line')} without a known statement, kept: {shown}"
+            f"{', ...' * (len(unknown) > _SHOWN)}"
         )
     return tuple(warnings)
 

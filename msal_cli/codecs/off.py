@@ -18,7 +18,7 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
-from msal_cli.codecs.text_slots import TextSlots, Words, require_indices
+from msal_cli.codecs.text_slots import TextSlots, Words, has_comments, require_indices
 from msal_cli.errors import (
     FormatError,
     TruncatedError,
@@ -88,6 +88,7 @@ def parse(data: Buffer) -> Layout:
         "point.normals": has_normals,
         "vertex colours": has_colours,
         "texture coordinates": has_texture,
+        "comments": has_comments(data),
         "face colours": bool((lengths[n_vertices:] > sizes + 1).any()),
     }
     is_face = sizes >= 3

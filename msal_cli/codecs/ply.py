@@ -165,8 +165,8 @@ def find_surface(
         sizes, is_face = lengths, lengths >= 3
         if not is_face.all():
             n_small = int(np.count_nonzero(~is_face))
-            have = format_count(n_small, "face has", "faces have")
-            warnings.append(f"{have} fewer than three corners: carried along only")
+            small = format_count(n_small, "face")
+            warnings.append(f"{small} of fewer than three corners, kept and left out")
             corners, sizes = corners[np.repeat(is_face, lengths)], lengths[is_face]
     if "tristrips" in lists:
         items, strip_lengths = _read_corners(*lists["tristrips"], n_vertices, has_ends=True)
@@ -328,7 +328,7 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
         carried += [
             f"{element.name}.{prop}" for prop in element.properties if prop.name not in known
         ]
-    return tuple(carried)
+    return (*carried, *header.notes)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -475,9 +475,8 @@ class PlyFile(mesh_file.MeshFile):
             patches = plan_patches(changes, have_own=False)
             lines = replace_statements(data, patches) if changes else data.data
             return text + lines[old.size :]
-        vertices = vertices.copy()
-        vertices[layout.unplaced] = layout.positions[0].values[layout.unplaced]
-        new = [vertices, *(change.values for change in self._changed_normals(vertices))]
+        normals = (change.values for change in self._changed_normals(vertices))
+        new = [self.with_unplaced(vertices), *normals]
         values = dict(zip(names, np.concatenate(new, axis=1).T, strict=True))
         from msal_cli.codecs.ply_write import recode
 

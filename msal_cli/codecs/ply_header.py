@@ -35,6 +35,8 @@ _SPELLINGS = {
 TYPES = {name: code for code, names in _SPELLINGS.items() for name in names}
 """Number types in files, and their numpy codes; the 64-bit integers are an extension."""
 
+_NOTES = {b"comment": "comments", b"Created": "comments", b"obj_info": "obj_info"}
+
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 
@@ -108,6 +110,8 @@ class Header:
     elements: list[Element] = field(default_factory=list)  # in file order
     # files in ``comment TextureFile`` lines, as written
     textures: list[str] = field(default_factory=list)
+    # names of its lines without a meaning, each once
+    notes: dict[str, None] = field(default_factory=dict)
     # values of ``obj_info`` lines of two words, by the first word
     infos: dict[str, str] = field(default_factory=dict)
 
@@ -194,11 +198,14 @@ def _read_line(header: Header, number: int, text: bytes) -> None:
         return errors.FormatError(message, where=f"line {number + 1}", hint=hint)
 
     words = text.split()
+    if words and words[0] in _NOTES:
+        header.notes[_NOTES[words[0]]] = None
     match words:
         case [b"obj_info", name, word]:
             header.infos[_decode(name)] = _decode(word)
         case [b"comment", name, _, *_] if name.lower() == b"texturefile":
             header.textures.append(_decode(text.split(None, 2)[2].strip()))
+            header.notes["texture file names"] = None
         # Old versions of Blender write "Created by Blender3D 2.43".
         case [] | [b"comment" | b"obj_info", *_] | [b"Created", b"by", *_]:
             pass

@@ -33,6 +33,7 @@ MAX_FACETS = (2**31 - 1) // 3
 MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Least bytes of text for a facet."""
 
+_BEGIN = b"binary STL "
 _USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
@@ -145,7 +146,9 @@ class _FacetFile(mesh_file.MeshFile):
 
     def __init__(self, data: Buffer, layout: mesh_file.Layout, name: str) -> None:
         super().__init__(data, "stl", layout)
-        self._name = name
+        # A header has room for this many characters behind ``_BEGIN``.
+        is_plain = name.isascii() and name.isprintable() and len(name) <= HEADER_BYTES - len(_BEGIN)
+        self._name = name if is_plain else ""
         self.merged_vertices = self.faces.size - len(self.vertices)
 
     def forget_vertices(self) -> None:
@@ -172,6 +175,11 @@ class _FacetFile(mesh_file.MeshFile):
         if to_text:
             return ascii_stl(corners, normals, self._name, single=precision != "float64")
         return binary_stl(corners, normals, self._name)
+
+    def losses_by_encoding(self) -> list[str]:
+        kept = ["facet normals", *["header text", f"solid {self._name!r}"] * bool(self._name)]
+        lost = [prop for prop in self.properties if prop not in kept]
+        return lost + super().losses_by_encoding()
 
     def _facet_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
         from msal_cli.kernels.stl_facets import renew_facet_normals
@@ -210,7 +218,7 @@ class StlFile(_FacetFile):
             faces=faces,
             vertices=vertices,
         )
-        super().__init__(data, layout, header.split(b"\0")[0].decode("ascii", "replace"))
+        super().__init__(data, layout, header.strip(b"\0 ").decode("latin-1"))
         self._end = _FIRST_FACET + FACET.itemsize * len(faces)
 
     @property
@@ -463,9 +471,9 @@ def binary_stl(corners: Floats, normals: Floats, name: str) -> bytes:
         single = normals.astype(np.float32)
     facets["normal"] = np.where(np.isfinite(single), single, np.float32(0.0))
     # If a header begins with "solid", readers take the file for text.
-    header = b"binary STL " + name.encode("ascii", "replace")
+    header = _BEGIN + name.encode()
     count = len(corners).to_bytes(4, "little")
-    return header[:HEADER_BYTES].ljust(HEADER_BYTES) + count + facets.tobytes()
+    return header.ljust(HEADER_BYTES) + count + facets.tobytes()
 
 
 def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:

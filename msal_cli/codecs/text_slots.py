@@ -458,6 +458,13 @@ def replace_spans(text: AnyStr, edits: Iterable[tuple[Span, AnyStr]]) -> AnyStr:
 _Slots = TypeVar("_Slots", bound=TextSlots)
 
 
+def has_comments(data: Buffer) -> bool:
+    """Whether a ``#`` begins a word."""
+    view = memoryview(data).cast("B")
+    places = (sign.start() for sign in re.finditer(b"#", data))
+    return any(at == 0 or view[at - 1] <= 32 for at in places)
+
+
 class Words:
     """The words of ``data[start:stop]`` without comments: ``starts`` and ``stops`` (q,) in
     ``data``, and ``lines`` (q,), ascending, equal for words on one line."""

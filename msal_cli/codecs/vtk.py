@@ -284,8 +284,7 @@ class _Reader:
         except errors.InputError as failure:
             first = failure.where or "the first"
             self.warnings.append(
-                f"attributes from {first} on were not understood ({failure}); they are kept as "
-                "they are"
+                f"attributes from {first} on, kept although they were not understood ({failure})"
             )
 
     def _read_attribute(self, words: list[str], owner: str, n_tuples: int) -> None:
@@ -421,7 +420,7 @@ class Cells:
         strips = errors.format_count(self._counts["strip"] or None, "triangle strip")
         small = errors.format_count(self._small or None, "polygon")
         warnings = {
-            f"other cells ({others}) are kept; their corners move with the surface": others,
+            f"other cells ({others}), kept; their corners move with the surface": others,
             f"{strips} read as triangles, and kept": strips,
             f"{small} of fewer than three corners, kept and left out": small,
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +44,7 @@ class Output:
     companions: tuple[Companion, ...] = ()  # files that it refers to and that contain a part of it
     losses: tuple[str, ...] = ()  # what its format cannot store
     sources: tuple[str, ...] = ()  # files beside the input that its mesh was read from
+    stale: Sequence[str] = ()  # warnings about the input that are false for the output
 
 
 def build_output(
@@ -58,6 +60,7 @@ def build_output(
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target, *how = _format_of_output(mesh_file, settings, path)
     lost: tuple[str, ...] = ()
+    stale: list[str] = []
     if [target, *how] != [mesh_file.format, "same", "same"]:
         from msal_cli.codecs import conversion
 
@@ -65,16 +68,17 @@ def build_output(
         if losses and settings.strict:
             raise LossError(
                 f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
-                hint="leave --strict away, or keep format and precision",
+                hint="leave --strict away, or keep format, encoding and precision",
             )
         _check_reopened(output, target, mesh_file, vertices)
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
+        stale = conversion.stale_warnings(mesh_file, target, *how)
         if target != mesh_file.format:
             # A scene that only changes its container still names its images.
             is_scene = {target, mesh_file.format} == detection.SCENES
             references = mesh_file.references if is_scene else ()
             output = gzip_streams.compress(output) if compress else output
-            return Output(output, references, losses=lost, sources=mesh_file.sources)
+            return Output(output, references, (), lost, mesh_file.sources, stale)
     elif not np.array_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
@@ -85,7 +89,7 @@ def build_output(
         output = gzip_streams.expand(source.data, source.name)[0]
     output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
-    return Output(output, mesh_file.references, companions, lost, mesh_file.sources)
+    return Output(output, mesh_file.references, companions, lost, mesh_file.sources, stale)
 
 
 def as_stored(

@@ -187,7 +187,8 @@ class FileRun:
         """Build the output file with new positions (n, 3)."""
         with self.stage("write"):
             made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
-            self.warn(*made.losses)
+            valid = [text for text in self.record.warnings if text not in made.stale]
+            self.know(warnings=(*valid, *made.losses))
             if self.field_values and output_path is not None:
                 from msal_cli.job import fields
 

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from msal_cli.codecs import open_mesh
-from msal_cli.codecs.conversion import WRITABLE, convert
+from msal_cli.codecs.conversion import WRITABLE, convert, stale_warnings
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_obj import written as obj
@@ -70,26 +70,17 @@ def test_polygons_stay_where_the_target_has_them(to, encoding):
         assert np.array_equal(again.vertices, vertices)
 
 
-@pytest.mark.parametrize("to", ["stl", "off", "glb", "vtk"])
-def test_polygons_that_are_triangulated_are_named(to):
-    source = open_mesh(obj(cube()[0], QUADS), "a.obj")
-    data, losses = convert(source, source.vertices, to)
-    assert "polygons (triangulated)" in losses
-    again = reopened(data, to)
-    assert np.allclose(corners(again), corners(source))
-
-
 def test_soup_becomes_an_indexed_mesh():
     vertices, faces = cube()
-    data = plain_stl.binary(vertices[faces].reshape(-1, 9), header=b"part 7")
+    data = plain_stl.binary(vertices[faces].reshape(-1, 9), header=b"COLOR=\xff")
     source = open_mesh(data, "a.stl")
     moved = source.vertices * 1.5 - 0.25
-    for to in ("ply", "obj", "off", "glb", "vtk"):
-        output, losses = convert(source, moved, to)
+    for to in ("ply", "obj", "off", "glb", "vtk", "stl"):
+        output, losses = convert(source, moved, to, "ascii" if to == "stl" else "same")
         again = reopened(output, to)
         assert len(again.vertices) == 8
         assert np.array_equal(corners(again), moved[source.faces].reshape(-1, 3))
-        assert losses == ("header text",)
+        assert losses == ("colour in the header", "header text")
 
 
 COLOURS = np.arange(24).reshape(8, 3) * 10
@@ -113,7 +104,7 @@ def test_vertex_colours_go_across_and_back_or_are_named(kind):
         data, losses = convert(source, source.vertices, to)
         middle = reopened(data, to)
         back, more = convert(middle, middle.vertices, "ply")
-        assert (losses, more) == ((), ()) and b"alpha" not in bytes(back)
+        assert (losses, more) == (("comments",), ()) and b"alpha" not in bytes(back)
         mesh = trimesh.load_mesh(io.BytesIO(bytes(back)), file_type="ply", process=False)
         assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
     glb, _ = convert(source, source.vertices, "glb")
@@ -142,11 +133,20 @@ def test_vertex_normals_go_across():
 
 
 def test_everything_else_is_named():
-    text = obj(*cube(), "mtllib a.mtl\nvt 0 0\nusemtl skin\ng part\ns 1")
+    more = "mtllib a.mtl\nvt 0 0\nusemtl skin\ng part\ns 1\nv 0 0 inf\n # x\nf 1 2"
+    text = obj(cube()[0], QUADS, more)
     text = text.replace(b"f 1 3 4", b"f 1/1 3/1 4/1")
     source = open_mesh(text, "a.obj")
-    _, losses = convert(source, source.vertices, "ply")
-    assert set(losses) == {"texture coordinates", "materials", "groups", "smoothing groups"}
+    named = {"texture coordinates", "materials", "groups", "smoothing groups", "comments"}
+    named.add("1 face of fewer than three corners (first in line 16)")
+    more = "polygons (triangulated)", "positions that are not finite (0 0 0 instead)"
+    for to in ("ply", "off", "glb", "vtk"):
+        data, losses = convert(source, source.vertices, to)
+        assert set(losses) == named.union(more * (to != "ply"))
+        again = reopened(data, to)
+        assert ("without a finite position" in "".join(again.warnings)) == (to == "ply")
+        assert np.allclose(corners(again), corners(source))
+        assert stale_warnings(source, to, "same", "same") == list(source.warnings)
     for alpha, lost in (255, ()), (7, ("alpha of the vertex colours",)):
         names = [*XYZ, "uchar red", "uchar green", "uchar blue", "uchar alpha"]
         data = to_ascii_ply(names, [f"{x} {x * x} 0 1 2 3 {alpha}" for x in range(3)])
@@ -173,9 +173,7 @@ def test_digits_that_float32_ruins_are_named():
     ],
 )  # fmt: skip
 def test_what_no_format_has_is_refused(to, encoding, precision):
-    source = open_mesh(obj(*cube()), "a.ply", "obj")
-    if to == "obj":
-        source = open_mesh(coloured(), "a.ply")
+    source = open_mesh(coloured(), "a.ply") if to == "obj" else open_mesh(obj(*cube()), "a.obj")
     with pytest.raises(UnsupportedError) as caught:
         convert(source, source.vertices, to, encoding, precision)
     assert caught.value.hint

@@ -17,7 +17,7 @@ from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.gltf import write_companions
 from msal_cli.codecs.mesh_file import PLACEMENT, Companion
 from msal_cli.errors import ContentError, MsalError, UnsupportedError
-from msal_cli.job import pipeline
+from msal_cli.job import comparison, pipeline
 from msal_cli.job.settings import Task
 from tests.codecs.patching import rewritten
 from tests.codecs.plain_glb import Scene, content_of
@@ -72,6 +72,7 @@ def test_an_unchanged_file_comes_with_all_that_it_names(tmp_path):
     source = in_folder(tmp_path / "in", buffer="data/my scan.bin")
     record = denoised(source, tmp_path / "out" / "new.gltf", 0)
     assert record.error is None and record.status == "unchanged"
+    assert comparison.inspect_file(str(source)).references[0] == "data/my scan.bin"
     before, after = tree(tmp_path / "in"), tree(tmp_path / "out")
     after["scan.gltf"] = after.pop("new.gltf")
     assert after == before

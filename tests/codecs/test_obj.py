@@ -405,7 +405,7 @@ def test_claims_do_not_take_memory() -> None:
 def test_the_end_mark_of_old_systems_is_kept(end):
     data = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" + end
     file = obj.read(data)
-    assert len(file.warnings) == 1 and "no statement that is known" in file.warnings[0]
+    assert len(file.warnings) == 1 and "1 line without a known statement" in file.warnings[0]
     vertices = file.vertices * 0.5
     output = rewritten(file, vertices)
     assert output.endswith(b"f 1 2 3\n" + end)

@@ -260,6 +260,7 @@ def test_several_solids_with_names():
     file = stl.read(text.encode())
     assert (file.encoding, file.n_polygons) == ("ascii", 8)
     assert file.properties[-3:] == ("3 solids", "solid 'left leg'", "solid 'empty'")
+    assert file.losses_by_encoding() == ["3 solids", "solid 'empty'"]
     vertices = moved(file)
     output = rewritten(file, vertices)
     assert output.count(b"solid left leg") == 2

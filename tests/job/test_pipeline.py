@@ -156,7 +156,8 @@ def test_a_conversion_by_option_has_the_same_bytes_and_no_materials(tmp_path):
 @pytest.mark.parametrize(
     ("code", "offset", "given"),
     [("<i2", 0.0, {}), ("<f4", 1e7, {}), ("<f8", 1e7, {"precision": "float32"})]
-    + [("<f8", 1e7, {"to": "glb"}), ("<i2", 0.0, {"encoding": "ascii"})],
+    + [("<f8", 1e7, {"to": "glb"}), ("<i2", 0.0, {"encoding": "ascii"})]
+    + [("<i2", 0.0, {"to": "obj"})],
 )
 def test_figures_are_those_of_the_output(tmp_path, code, offset, given, max_move):
     scan, out = tmp_path / "scan.ply", tmp_path / f"out.{given.get('to', 'ply')}"
@@ -168,6 +169,8 @@ def test_figures_are_those_of_the_output(tmp_path, code, offset, given, max_move
     assert (record.displacement, record.volume, record.area, record.flipped_faces) == wanted
     assert record.normal_change.max_deg == made.max_angular_error_deg
     assert (record.status == "written") == (scan.read_bytes() != out.read_bytes())
+    is_whole = code == "<i2" and "to" not in given
+    assert any("whole numbers" in text for text in record.warnings) == is_whole
     if "precision" in given:
         assert any("rounds positions to 1 units" in warning for warning in record.warnings)
         assert denoised(scan, out, **given, strict=True).error.code == "E_LOSS"
