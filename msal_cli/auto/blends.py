@@ -334,8 +334,7 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | No
     """The choice for a mesh that each filter would harm: no change, unless the ``wishes`` are for
     more smoothing.  ``what`` begins the reason, such as ``noise 0 e; clean``."""
     if wishes.strength <= 0.0 and wishes.keep != "shape":
-        is_less = wishes.strength < 0.0 or wishes.keep == "texture"
-        is_wish = wishes.keep is not None and not is_less
+        is_wish = wishes.keep == "edges" and wishes.strength == 0.0
         hint = "; --strength 1 smooths it all the same" if is_wish else ""
         return Choice(NONE, {}, f"{what}; left as it is{hint}", surface, noise)
     level = max(noise.high, noise.mean_edges, MIN_NOISE) * STRENGTH**wishes.strength

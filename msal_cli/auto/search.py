@@ -91,7 +91,6 @@ HARM = "every filter would add more error than it takes away"
 
 # For each ``Wishes.keep`` the factor of the noise, and the weight of slopes.
 _KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
-_BALANCED = (1.0, 0.5)
 
 
 def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
@@ -126,7 +125,7 @@ class _Search:
         edges = noise.rms_edges if noise.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * self._width * noise.mean_edges
-        factor, self.slopes = _KEEP.get(wishes.keep or "", _BALANCED)
+        factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, 0.5))
         self.wished = factor
         self.level = self.unit = edges * factor * mesh.mean_edge_length
         is_large = len(mesh.vertices) >= LARGE

@@ -135,12 +135,11 @@ def command(request: Request) -> int:
         pairs = {path: compare(before, path) for path in others}
         is_pair = len(pairs) == 1
         return _conclude(request, gates, earlier, pairs, is_pair=is_pair, is_all=not is_pair)
-    # What --fields wrote beside a mesh is none to compare.
-    beside = [{path_beside(file.relative) for file in side} for side in sides]
-    first, second = (
-        {file.relative: file.path for file in side if file.relative not in names}
-        for side, names in zip(sides, beside, strict=True)
-    )
+    first, second = ({file.relative: file.path for file in side} for side in sides)
+    for side in (first, second):
+        # Files that --fields wrote beside a mesh are not compared.
+        for name in [path_beside(name) for name in side]:
+            side.pop(name, None)
     records = {}
     for name in dict.fromkeys((*first, *second)):
         missing = before if name not in first else after if name not in second else None

@@ -112,7 +112,7 @@ def command(request: Request) -> int:
     return console.worst_status(status, console.SOME_FAILED) if is_unfinished else status
 
 
-_MAX_HASHED = 10
+_MAX_LOOKED_AT = 10
 """Files of a run by which its folder is found."""
 
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
@@ -181,32 +181,28 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
     """The rows of a folder, manifest or report with absolute paths.
 
     The paths of a run start in a folder that is not recorded: the nearest at or above ``source``,
-    or the current one, where most of the first files are as they were.  If there is none, files
-    that only a report has are not those of any other source.
+    or the current one, that has one of its first files.  If there is none, files that only a report
+    has are not those of any other source.
     """
-    from msal_cli.batch import inputs, manifest, resume
+    from msal_cli.batch import inputs, manifest
 
     is_manifest = source.name.startswith(manifest.PARTS_FOLDER)
     source = inputs.resolve(source.parent if is_manifest else source)
-    base = source if source.is_dir() else None
-    for folder in (source, *source.parents, Path.cwd()):
-        is_same = [
-            resume.hash_file(path) == sha256
-            for made in (row.record for row in rows[:_MAX_HASHED])
-            for name, sha256 in ((made.input, made.input_sha256), (made.output, made.output_sha256))
-            if name and sha256 and os.path.isfile(path := os.path.join(folder, name))
-        ]
-        if 2 * sum(is_same) >= len(is_same) > 0:
-            base = folder
-            break
+    records = [row.record for row in rows[:_MAX_LOOKED_AT]]
+    names = [name for record in records for name in (record.input, record.output) if name]
+    folders = (source, *source.parents, Path.cwd())
+    # Only absolute names keep their place below what is no folder.
+    base = next(
+        (folder for folder in folders if any(map(os.path.isfile, map(folder.joinpath, names)))),
+        source,
+    )
 
     def locate(name: str) -> str:
-        if not name or is_url(name):
-            return name
-        return f"{source}/{name}" if base is None else str(inputs.resolve(base / name))
+        return name if not name or is_url(name) else str(inputs.resolve(base / name))
 
     def split(path: str) -> tuple[str, str]:
-        return os.path.dirname(path), os.path.splitext(path)[1]
+        stem = os.path.splitext(path.removesuffix(".gz"))[0]
+        return os.path.dirname(path), path.removeprefix(stem)
 
     # In a report a failure has no output; it would be beside that of a file like it.
     like = {split(row.input): split(row.output) for row in rows if row.output}
@@ -214,7 +210,7 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
     for row in rows:
         output = row.output
         if not output and (place := like.get(split(row.input))):
-            name = os.path.splitext(os.path.basename(row.input))[0]
+            name = os.path.basename(row.input).removesuffix(split(row.input)[1])
             output = os.path.join(place[0], name + place[1])
         located.append(replace(row, input=locate(row.input), output=locate(output)))
     return located

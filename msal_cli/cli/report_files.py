@@ -87,7 +87,7 @@ def write(
 
     Parameters
     ----------
-    named : the records for people and build services, if inputs have other names there.
+    named : the records with the names of inputs that Markdown and JUnit show, if others.
     backup : what was added to the names of originals that were replaced, if it is known.
     csv_columns : ``all``; by default those of ``data.COMMON_COLUMNS``.
     without_pictures : leave them out of pages, because the run is to end soon.
@@ -114,8 +114,8 @@ def write(
                 options, shown = {"gallery": pictures}, tuple(pictures.pictures)
             elif function == "render_csv":
                 options = {"has_all": csv_columns == "all"}
-            for_services = module == "build_services" and named
-            data = render(run, named if for_services else records, **options)
+            has_other = bool(named) and module == "build_services"
+            data = render(run, named if has_other else records, **options)
             # A signal must not leave a temporary file, which no later run would remove.
             with interrupts.catch_signals():
                 # A page gets no wider permissions than the meshes that it shows.

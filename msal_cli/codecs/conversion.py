@@ -190,7 +190,7 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
     if to == "ply":
         vertices = stored
     elif stored is not vertices and to != "stl":
-        losses.append("positions that are not finite (0 0 0 instead)")
+        losses.append("positions that are not finite")
     return _Mesh(vertices, faces, polygons, colours, normals), losses
 
 
@@ -276,11 +276,8 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii is made by the codec, which formats the numbers."""
     from msal_cli.codecs import ply
 
-    positions: NDArray[Any] = mesh.vertices
-    if single:
-        # Vertices that no face uses need not be finite.
-        fits = np.isfinite(positions)
-        positions = np.where(fits, as_float32(np.where(fits, positions, 0.0)), positions)
+    # Vertices that no face uses need not be finite.
+    positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
     real = "<f4" if single else "<f8"
     columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
     if mesh.normals is not None:

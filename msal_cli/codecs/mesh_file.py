@@ -284,7 +284,9 @@ class MeshFile(Surface):
             if frames := self._layout.frames:
                 arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
             self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-            self._vertices[self._layout.unplaced] = 0.0
+            if len(unplaced := self._layout.unplaced):
+                # A place on the mesh, so that its extent stays.
+                self._vertices[unplaced] = self._vertices[self.faces[0, 0]]
         return self._vertices
 
     def with_unplaced(self, vertices: Floats) -> Floats:

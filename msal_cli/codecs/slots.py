@@ -58,8 +58,9 @@ def as_float32(positions: Floats) -> NDArray[np.float32]:
     """Positions (m, 9) or (n, 3) as float32; ContentError (``E_RANGE``) beyond its range."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = positions.astype(np.float32)
-    if not np.isfinite(rounded).all():
-        bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
+    is_beyond = np.isfinite(positions) & ~np.isfinite(rounded)
+    if is_beyond.any():
+        bad = int(np.argmax(is_beyond.reshape(len(rounded), -1).any(axis=1)))
         raise ContentError(
             "a position is too large for float32",
             code="E_RANGE",

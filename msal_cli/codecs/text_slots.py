@@ -460,9 +460,7 @@ _Slots = TypeVar("_Slots", bound=TextSlots)
 
 def has_comments(data: Buffer) -> bool:
     """Whether a ``#`` begins a word."""
-    view = memoryview(data).cast("B")
-    places = (sign.start() for sign in re.finditer(b"#", data))
-    return any(at == 0 or view[at - 1] <= 32 for at in places)
+    return re.search(rb"#(?<![^\0- ]#)", data) is not None
 
 
 class Words:

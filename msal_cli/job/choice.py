@@ -135,8 +135,10 @@ def choose_weaker(
     if wishes.weaker is None:
         return None
     weaker, first = wishes.weaker, Wishes(**choice.wishes)
-    was = "--keep shape" if wishes.keep == "shape" else f"--strength {first.strength:g}"
-    instead = f"{weaker.strength:g} instead" if weaker.strength > 0.0 else "left out"
+    is_shape = wishes.keep == "shape"
+    was = "--keep shape" if is_shape else f"--strength {first.strength:g}"
+    is_left_out = is_shape or weaker.strength <= 0.0
+    instead = "left out" if is_left_out else f"{weaker.strength:g} instead"
     settings = replace(settings, parameters=asdict(weaker))
     chosen = prepare(mesh, settings, lambda done, total: None)
     made = replace(chosen.known["choice"], wishes=choice.wishes)

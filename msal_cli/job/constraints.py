@@ -43,7 +43,7 @@ class Constraints:
             vertices = np.where(self.held[:, None], before, vertices)
         if limit is None:
             return vertices, 0
-        lengths, limit = distances(before, vertices), limit - self.step
+        lengths, limit = distances(before, vertices), max(0.0, limit - self.step)
         beyond = np.flatnonzero(lengths > limit)
         if len(beyond):
             vertices = vertices.copy()

@@ -178,7 +178,7 @@ class FileRun:
             given = self._settings.unit
             room.check_unit(mesh_file.unit, given)
             if given and PLACEMENT in mesh_file.properties:
-                self.warn("--unit is that of the mesh's own numbers, which the scene may scale")
+                self.warn("--unit applies to the numbers in the file, which the scene may scale")
         return mesh_file, is_compressed
 
     def build(

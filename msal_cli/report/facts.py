@@ -174,7 +174,7 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
         yield Fact("intersecting", self_intersections_text(record.self_intersections))
     for sidecar in record.sidecars if record.status in DONE else ():
         if not sidecar.startswith("warning: "):
-            yield Fact("beside it", sidecar)
+            yield Fact("beside it", sidecar.split(" (SHA-256")[0])
 
 
 def fact_lines(facts: Iterable[Fact], width: int) -> Iterator[Line]:

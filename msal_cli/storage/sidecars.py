@@ -26,7 +26,7 @@ MAX_BYTES = 4 << 30
 
 _IN_PLACE = " is in place already"
 _NOTE = re.compile(
-    rf"(?:(?:copied|wrote) )?(.*?)(?: \(SHA-256 ([0-9a-f]{{64}})\))?(?:{_IN_PLACE})?", re.DOTALL
+    rf"(?s)(?:copied |wrote |(?=.*{_IN_PLACE}\Z))(.*?)(?: \(SHA-256 (\w{{64}})\))?(?:{_IN_PLACE})?"
 )
 _PIECE = 8 << 20
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
@@ -64,7 +64,7 @@ def carry(
     input_path, output_path : the mesh files; the output's folder is made if it is missing.
     force : replace other files that are not newer than the existing output: they may be its old
         copies, and belong to no other input of this run.
-    depth : number of folders above the mesh's that the run searched; references may lead there.
+    depth : number of folders from the mesh's up to the searched one; references may lead there.
 
     Returns what was done, one line for each file; lines that need attention begin with
     ``warning:``.  Raises OutputError: ``E_SIDECAR`` if another file has the name, ``E_WRITE`` if
@@ -77,7 +77,7 @@ def carry(
         said = f"{', '.join(names[:3])}{more}"
         return (f"warning: not copied to or from an object store: {said}",) if names else ()
     folders = Path(input_path).parent, Path(output_path).parent
-    roots = [folder.joinpath(*[".."] * depth) for folder in folders]
+    roots = [(folder, *folder.parents)[depth] for folder in folders]
     notes: list[str] = []
     done: set[str] = set()
     made_at = os.lstat(output_path).st_mtime_ns if force and os.path.lexists(output_path) else -1
@@ -108,8 +108,8 @@ def carry(
 def list_carried(notes: Sequence[str], input_path: str, output_path: str) -> list[tuple[str, str]]:
     """The files beside an output that ``notes``, the ``sidecars`` of its record, name, and their
     SHA-256, empty where it is not known."""
-    folder, found = Path(output_path).parent, zip(notes, map(_NOTE.fullmatch, notes), strict=True)
-    named = (match.groups("") for note, match in found if match and match[1] != note)
+    folder, found = Path(output_path).parent, filter(None, map(_NOTE.fullmatch, notes))
+    named = (match.groups("") for match in found)
     places = ((_relative(name, Path(input_path).parent), sha256) for name, sha256 in named)
     return [(str(folder / place), sha256) for place, sha256 in places if place]
 

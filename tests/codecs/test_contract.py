@@ -60,9 +60,9 @@ def with_unplaced() -> dict[str, bytes]:
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex 4\n{head}element face 1\n"
     head += "property list uchar int vertex_index\nend_header\n"
     return {
-        "off": "".join(["OFF\n4 1 0\n", *lines, "3 0 2 3\n"]).encode(),
-        "obj": "".join([*("v " + line for line in lines), "f 1 3 4\n"]).encode(),
-        "ply": head.encode() + np.array(points).tobytes() + struct.pack("<B3i", 3, 0, 2, 3),
+        "off": "".join(["OFF\n4 1 0\n", *lines, "3 3 0 2\n"]).encode(),
+        "obj": "".join([*("v " + line for line in lines), "f 4 1 3\n"]).encode(),
+        "ply": head.encode() + np.array(points).tobytes() + struct.pack("<B3i", 3, 3, 0, 2),
     }
 
 

@@ -520,8 +520,7 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
 
     It is higher where errors are likely or harmful.  Weak correlated noise is hardly visible, while
     smoothed relief is.  Detail on a part of a design is more frequent than noise on a part of a
-    scan.  Correlated noise has a floor, noise along an axis is weaker on steep faces, and designs
-    may be blocks on a grid as well.
+    scan.  Correlated noise has a floor, and designs may be blocks on a grid as well.
     """
     if verdict.kind == "view" and evidence.axis is not None:
         level = min(level, evidence.axis.best_level)
