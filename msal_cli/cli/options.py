@@ -251,7 +251,7 @@ _SHARED = f"""
 --set NAME=VALUE ... -> assignments
     Any parameter of the method; `msal methods NAME` lists them. Repeatable.
 --force
-    Replace files in OUT that no msal denoise wrote.
+    Replace files in OUT that no msal denoise wrote; with msal noise, all.
 --json -> as_json
     Print the JSON report to standard output.
 --csv-columns [common|all]

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.
 --unit
 --check
-    Exit with 1 if all files failed, 3 if some failed, are not finished, or are gone or changed
-    since they were written (compared by hash), 4 if a gate in the report is broken.
+    Exit with 1 if all files failed, 3 if some failed, are not finished, or (in a folder or manifest
+    named) are gone or changed since they were written, 4 if a gate in the report is broken.
 """,
     ),
     group(MESSAGES, "--quiet\n-v, --verbose ...\n    List every file.\n"),
@@ -140,7 +140,7 @@ def _summarize(
     remarks: list[str] = []
     paths: list[str] = []
     for name in dict.fromkeys(names):
-        path = Path(name)
+        path, views, folder = Path(name), [], name
         if is_url(name) or path.is_dir():
             views = manifest.read_views(name)
             if not views:
@@ -151,13 +151,12 @@ def _summarize(
                 )
             history = resume.read_history(views, name)
             remarks += _missing_parts(history[0], name)
-            if lost := resume.list_lost(views, name) if is_checked and not is_url(name) else []:
-                more = f" and {len(lost) - 3:,} more" if len(lost) > 3 else ""
-                remarks.append(f"gone or changed: {', '.join(map(repr, lost[:3]))}{more}")
             paths += [] if is_url(name) else map(str, manifest.list_manifests(name))
         elif path.is_file():
             history = _read_file(path)
             paths.append(name)
+            if path.name.startswith(manifest.PARTS_FOLDER):
+                views, folder = [manifest.LogView.of(manifest.read_lines(path))], str(path.parent)
         else:
             raise UsageError(
                 f"{name!r} is neither a regular file nor a folder"
@@ -166,6 +165,9 @@ def _summarize(
                 hint=_WHAT_TO_NAME,
                 path=name,
             )
+        if lost := resume.list_lost(views, folder) if is_checked and not is_url(folder) else []:
+            more = f" and {len(lost) - 3:,} more" if len(lost) > 3 else ""
+            remarks.append(f"gone or changed: {', '.join(map(repr, lost[:3]))}{more}")
         new_runs, new_rows = history
         runs += new_runs
         rows += new_rows if len(set(names)) == 1 else _locate(new_rows, path)

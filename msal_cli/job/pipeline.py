@@ -248,7 +248,7 @@ class FileRun:
         (n, 3); None rounds to the number type of the input.  All arrays of this step are freed
         before the output is built, which takes as much memory again.
         """
-        from msal_cli.analysis.noise_estimate import estimate_noise
+        from msal_cli.analysis.noise_estimate import estimate_noise, lend_estimate
 
         settings = self._settings
         with self.stage("connectivity"):
@@ -289,15 +289,20 @@ class FileRun:
                 vertices, moved = _store_positions(
                     ready, result, mesh_file, store or mesh_file.as_stored, limit
                 )
-                whole, start = None, chosen.mesh.vertices
+                whole, given = None, chosen.mesh
+                start = given.vertices
+                if constraints is not None and chosen.known.get("despiked"):
+                    # Outliers come back only as far as other vertices may go.
+                    given = given.with_vertices(constraints.apply(start)[0])
+                    lend_estimate(estimate_noise(chosen.mesh), given)
                 if chosen.share < 1.0:
                     # A part of the displacement is accepted only if all of it would be.
                     whole = start + (result - start) / chosen.share
                 del result
-                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice_made is None)
+                measured = changes.measure(ready, moved, given, is_named=choice_made is None)
                 harm = measured.harm
                 if whole is not None:
-                    harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
+                    harm = changes.measure(ready, whole, given, is_named=False).harm
             if harm is None or choice_made is None:
                 break
             weaker = choice.choose_weaker(mesh, settings, choice_made, harm)

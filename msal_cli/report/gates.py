@@ -118,7 +118,8 @@ class Quantity:
         elif self.part in ("tile_gap", "tile_set"):
             why = "files are denoised as one with --tile-set"
         elif self.part == "choice":
-            why = "the method was named, and none was chosen"
+            why = "the choice has none for this file"
+            why = "the method was named, and none was chosen" if record.choice is None else why
         elif self.name in ("clamped_vertices", "locked_vertices"):
             why = f"without {'--max-move' if self.name[0] == 'c' else '--lock'} none is"
         elif self.name == "despiked":

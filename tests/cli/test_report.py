@@ -73,8 +73,9 @@ class TestOneFolder:
 
     def test_every_format_and_the_summary(self, done):
         (done.parent / "out/s1.ply").write_bytes(b"ply")
-        one = ran("report", "out", "--check")
-        assert (one.exit_code, "gone or changed: 'out/s1.ply'\n" in one.stderr) == (3, True)
+        for name in ("out", "out/.msal-manifest.jsonl"):
+            one = ran("report", name, "--check")
+            assert (one.exit_code, "gone or changed: 'out/s1.ply'\n" in one.stderr) == (3, True)
         denoised("--fields", "noise")
         one = ran("report", "out", "-o", "new/r.json", "-o", "r.jsonl", "-o", "r.csv", "--check")
         assert (one.exit_code, one.stdout, "3 files: 3 written" in one.stderr) == (0, "", True)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.codecs.conversion import convert
 from msal_cli.errors import UsageError
 from msal_cli.job import constraints
 from msal_cli.job.constraints import select_vertices
-from msal_cli.job.settings import Lock, parse_length, parse_lock
+from msal_cli.job.settings import Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.files import denoise_bytes
@@ -123,6 +124,15 @@ def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
     assert n_clamped == (distances(before, after) > limit).sum() > 1000
     assert distances(before, kept).max() <= limit
     assert not np.shares_memory(kept, after)
+
+
+def test_outliers_that_a_limit_keeps_off_are_no_damage_by_the_choice():
+    vertices, faces = torus(96, 48)
+    mesh = prepare_mesh(vertices, faces).mesh
+    scan = add_noise(mesh, AddedNoise("outliers", 0.1, 1, fraction=0.02))
+    chosen = Settings("adaptive", {}, max_move="0.1e")
+    _, record = denoise_bytes(to_ply(scan, faces), "a.ply", chosen)
+    assert record.despiked and record.displacement.moved_vertices and not record.warnings
 
 
 def test_vertices_at_one_place_stay_together():
