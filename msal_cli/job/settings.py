@@ -187,7 +187,7 @@ def in_file_units(number: str, unit: str, file_unit: str | None, label: str = ""
             f"{label}{number}{unit}: mesh files have no unit, so that it is not known how long "
             "that is",
             hint="say with --unit what the unit of the files is, such as --unit mm, or write the "
-            "length in file units (0.05) or mean edge lengths (0.3e)",
+            f"length in file units (0.05){' or mean edge lengths (0.3e)' * ('lock' not in label)}",
         )
     from fractions import Fraction
 

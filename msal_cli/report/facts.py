@@ -216,6 +216,7 @@ FIGURES = (
     Figure("Max move", "file units", "displacement.max", ".4g", DETAIL),
     Figure("Normals", "mean turn, °", "normal_change.mean_deg", ".3g", DETAIL),
     Figure("Flipped", "faces", "flipped_faces", ","),
+    Figure("Intersecting", "new pairs", "self_intersections.created", ","),
     Figure("Outliers", "brought back", "despiked", ","),
     Figure("Warnings", "", "warnings", ","),
     Figure("To reference", "mean angle, °", "reference.mean_angular_error_deg", ".2f"),
@@ -225,7 +226,7 @@ FIGURES = (
 
 def list_figures(records: Sequence[MeshRecord], level: int) -> list[Figure]:
     """The figures up to a level; rare ones only if some record has a value other than 0."""
-    rare = ("Flipped", "Outliers", "Warnings", "To reference")
+    rare = ("Flipped", "Intersecting", "Outliers", "Warnings", "To reference")
     return [
         column
         for column in FIGURES

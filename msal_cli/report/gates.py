@@ -331,7 +331,8 @@ class _Parser:
             pairs = {left.unit: (left, right), right.unit: (right, left)}
             unit = next((unit for unit in _FACTORS if unit in pairs), None)
             if unit is None:
-                raise self._mismatch(at, left, right)
+                hint = "multiply by a number, a percentage or a quotient"
+                raise self._mismatch(at, left, right, hint=hint)
             factor, other = pairs[unit]
             share = 100.0 if factor.unit in _PERCENTS else 1.0
             value = _apply(lambda a, b: a / share * b, factor.value, other.value)
@@ -352,9 +353,13 @@ class _Parser:
         effect = COMPARISONS.get(sign) or _JOINED[sign]
         return _Meaning(unit, _apply(effect, first, second), at)
 
-    def _mismatch(self, at: int, *parts: _Meaning) -> UsageError:
+    def _mismatch(
+        self,
+        at: int,
+        *parts: _Meaning,
+        hint: str = "% is for relative changes, e (mean edge lengths) for lengths",
+    ) -> UsageError:
         words = (_WORDS.get(part.unit, "a plain number") for part in parts)
-        hint = "% is for relative changes, e (mean edge lengths) for lengths"
         return self._error(at, f"{' and '.join(words)} do not go together", hint)
 
     def _convert(self, at: int, part: _Meaning, unit: Unit) -> Callable[[Any], Value] | None:
