@@ -134,7 +134,8 @@ class _BatchRun:
             if self.plan.is_set and todo:
                 from msal_cli.batch.tile_set import SetRun
 
-                records = SetRun(self.plan.tasks, self.settings).survey()
+                set_run = SetRun(self.plan.tasks, self.settings, limits=self.limits)
+                records = set_run.survey()
             else:
                 options = (self.settings, self.limits)
                 records = {

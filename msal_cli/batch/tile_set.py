@@ -24,7 +24,7 @@ from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.pipeline import FileRun, OnProgress, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
-from msal_cli.job.room import find_scratch, open_mesh, to_known_error, use_scratch
+from msal_cli.job.room import Scratch, find_scratch, open_mesh, to_known_error, use_scratch
 from msal_cli.job.settings import (
     AXES,
     NO_LIMITS,
@@ -89,6 +89,10 @@ class SetRun:
 
     def survey(self) -> dict[int, MeshRecord]:
         """Read the set without denoising it: records with ``tile_set``, or failures, by index."""
+        try:
+            self._find_scratch()
+        except MsalError as error:
+            return self._fail_rest(error)
         for index in range(len(self._tasks)):
             self._scan(index)
             self._arrays.clear()
@@ -108,12 +112,7 @@ class SetRun:
         if limit is not None:  # the memory that this process had before does not count
             limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
-            work = f"denoising these {len(self._tasks):,} files as one"
-            needed = memory_of_set(self._tasks, self._settings)
-            with (
-                limited_memory(limit),
-                use_scratch(find_scratch(work, needed, self._limits, self._tasks[0].output)),
-            ):
+            with limited_memory(limit), use_scratch(self._find_scratch()):
                 for index in range(len(self._tasks)):
                     self._scan(index)
                 has_given_up = max_failures is not None and len(self._records) >= max_failures
@@ -122,12 +121,21 @@ class SetRun:
         except UsageError:
             raise
         except Exception as error:
-            # The set fails as a whole: every file without a failure of its own gets this one.
-            failure = Failure.of(to_known_error(error, "the tile set"))
-            for index, task in enumerate(self._tasks):
-                if index not in self._records:
-                    start = start_record(task.input, self._settings)
-                    self._records[index] = replace(start, error=failure)
+            self._fail_rest(error)
+        return self._records
+
+    def _find_scratch(self) -> Scratch | None:
+        work = f"denoising these {len(self._tasks):,} files as one"
+        needed = memory_of_set(self._tasks, self._settings)
+        return find_scratch(work, needed, self._limits, self._tasks[0].output)
+
+    def _fail_rest(self, error: Exception) -> dict[int, MeshRecord]:
+        """The set fails as a whole: every file without a failure of its own gets this one."""
+        failure = Failure.of(to_known_error(error, "the tile set"))
+        for index, task in enumerate(self._tasks):
+            if index not in self._records:
+                start = start_record(task.input, self._settings)
+                self._records[index] = replace(start, error=failure)
         return self._records
 
     def _progress_of(self, index: int) -> OnProgress:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.batch import tile_set
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.tile_set import SetRun
 from msal_cli.job.pipeline import denoise_file
@@ -186,11 +187,14 @@ def test_a_set_is_up_to_date_as_a_whole(tiles):
     assert states(tiles) == ["written"] * 3
 
 
-def test_a_dry_run_counts_the_files(tiles):
+def test_a_dry_run_counts_the_files(tiles, monkeypatch):
     assert denoise_by_command(tiles, "--dry-run").stderr.splitlines()[-1] == "4 files to denoise"
     assert states(tiles) == ["written"] * 4
     last = denoise_by_command(tiles, "--dry-run").stderr.splitlines()[-1]
     assert last.endswith("4 up to date")
+    monkeypatch.setattr(tile_set, "memory_of_set", lambda *given: 10**16)
+    beyond = denoise_by_command(tiles, "--dry-run", "--fresh")
+    assert (beyond.exit_code, f"{beyond.stdout}{beyond.stderr}".count("E_MEMORY")) == (1, 5)
 
 
 def test_a_file_that_fails_is_mended(tiles):
