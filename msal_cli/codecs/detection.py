@@ -38,7 +38,7 @@ _OBJ_LINE = (
 )
 _XML = (
     rb"(?s)(?:\xef\xbb\xbf)?\s*+(?:<\?xml[^>]*+>\s*+)?"
-    rb"(?:(?:<!--(?:(?!-->).)*+-->|<![A-Z][^>]*+>)\s*+)*+"
+    rb"(?>(?:(?:<!--.*?-->|<![A-Z][^>]*+>)\s*+)*)"
 )
 """What may come before the root element: a declaration, comments and a document type."""
 

@@ -58,7 +58,8 @@ Keywords = Mapping[bytes, tuple[int, int]]
 ``state``, see ``kernels.obj_scan``."""
 
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
-_WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
+# Atomic groups, because Python up to 3.11.4 goes on behind the last try of a possessive one.
+_WORD = re.compile(rb"(?>(?:[ \t\v\f]++|\\(?:\r\n?|\n))*)([^\s\\]*+(?>(?:\\(?![\r\n])[^\s\\]*+)*))")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
 _PLANE_POSITION = re.compile(rb"v" + 2 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n#])")
 _ALL = 1 << 62

@@ -35,7 +35,7 @@ _OPTION = (
     rb"|[ost](?:\s+" + _NUMBER + rb"(?!\S)){1,3})(?:\s+|$)"
 )
 _TEXTURE = re.compile(
-    rb"\s*(?:map_\S*|bump|disp|decal|refl|norm)\s+(?:" + _OPTION + rb")*+(.*)", re.IGNORECASE
+    rb"\s*(?:map_\S*|bump|disp|decal|refl|norm)\s+(?>(?:" + _OPTION + rb")*)(.*)", re.IGNORECASE
 )
 """A line that names a texture: a keyword, options with a fixed number of words or up to three
 numbers, and the name, which may contain blanks and begin with a hyphen."""
