@@ -31,6 +31,7 @@ _PLAIN_LISTS = {
 }  # fmt: skip
 _LIST = re.compile(rb"<(vertices|triangles)\s*>")
 _QUOTE, _LESS = 34, 60
+_NEAR = 64  # bytes before the end of a list that have its last tag, but for many blanks
 
 
 def find_quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
@@ -120,11 +121,13 @@ class Model:
         self.words: dict[str, None] = {}  # what else is kept unchanged, for reports
         self.stale: dict[str, None] = {}  # what would no longer fit the surface after a move
         self._text, self._name = text, name
-        # For each plain list, by the first byte of its opening tag, where it begins and ends.
+        # For each plain list, by the first byte of its opening tag, where it begins and ends.  In
+        # Python up to 3.11.4 a list may match that ends within a tag.
         self._lists = {
             tag.start(): match.span()
             for tag in _LIST.finditer(text)
             if (match := _PLAIN_LISTS[tag[1]].match(text, tag.end()))
+            and text[match.end() - _NEAR : match.end()].rstrip().endswith(b">")
         }
         prefixes: dict[str, str] = {}
         left_out = list(self._lists.values())

@@ -345,6 +345,7 @@ DAMAGED = {
     "an unknown unit": (edited("<model ", '<model unit="furlong" '), "E_FORMAT"),
     "a word for a number": (edited('x="1.000" y="1.000"', 'x="one" y="1.000"'), "E_FORMAT"),
     "no y": (edited('x="1.000" y="1.000"', 'x="1.000"'), "E_FORMAT"),
+    "an open tag at the end": (edited("</vertices>", '<vertex x="1"</vertices>'), "E_FORMAT"),
     "NaN": (edited('x="1.000" y="1.000"', 'x="NaN" y="1.000"'), "E_NONFINITE"),
     "an index beyond": (edited('v1="0"', 'v1="8"'), "E_INDEX"),
     "a negative index": (edited('v1="0"', 'v1="-1"'), "E_FORMAT"),
