@@ -396,8 +396,8 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
         is_finite = np.asarray(np.isfinite(vertices).all(axis=1))
         if (is_bad := used_vertices(n, faces) & ~is_finite).any():
             raise not_finite("a position is not finite", f"vertex {int(np.argmax(is_bad))}")
-        # Samples that an organized point cloud lacks.
-        vertices = np.where(is_finite[:, None], vertices, 0.0)
+        # Samples that an organized point cloud lacks, at a place on the mesh.
+        vertices = np.where(is_finite[:, None], vertices, vertices[faces[0, 0]])
         ends = bounds(vertices)
     return vertices, faces, ends
 

@@ -172,7 +172,8 @@ class Layout:
     faces: Ints | None = None
     # (n, 3), if the parser has read them; the file takes them over
     vertices: Floats | None = None
-    # result of ``find_unplaced``, for one array of positions: these are 0 outside the file
+    # (k,) result of ``find_unplaced``, for one array of positions; outside the file these vertices
+    # are at a corner of the first face
     unplaced: Longs = field(default_factory=lambda: _NONE)
     # computes from the old and the new vertices each array of normals (g_i, 3), and which rows
     # changed (g_i,); None for the default, which does not support ``frames``
@@ -291,7 +292,7 @@ class MeshFile(Surface):
 
     def with_unplaced(self, vertices: Floats) -> Floats:
         """``vertices`` (n, 3), with the stored numbers of those without a finite position, or NaN
-        where a text, whose values are kept, has 0 now."""
+        where a text, whose values are kept, has that corner now."""
         if len(which := self._layout.unplaced):
             stored = self._layout.positions[0].values[which]
             vertices = vertices.copy()

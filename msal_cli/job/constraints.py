@@ -81,7 +81,7 @@ def build_constraints(
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
     pins, step = held if settings.lock or pinned is not None else None, 0.0
-    if isinstance(mesh_file, MeshFile) and mesh_file.precision == "text":
+    if limit is not None and isinstance(mesh_file, MeshFile) and mesh_file.precision == "text":
         step = 10.0 ** -(extent_decimals(mesh_file.vertices) or 0)
     return Constraints(mesh.with_constraints(pins, trust), pins, limit, step)
 
