@@ -102,6 +102,3 @@ class Choice:
     tried: int = 0  # number of candidates that were compared
     # labels and risks of the next best candidates, best first
     runners_up: tuple[tuple[str, float], ...] = ()
-    among: str = ALL  # ``ALL`` or ``FAMILY``
-    # the estimate before ``Wishes.assume`` was applied to it; None if it is the same as ``noise``
-    estimate: NoiseLevel | None = None

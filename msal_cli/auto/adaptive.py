@@ -25,10 +25,10 @@ import numpy as np
 
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, lend_estimate
 from msal_cli.arrays import Floats
-from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, Wishes, blends
+from msal_cli.auto import NONE, SECONDS, Choice, OnStep, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import LEARNED, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
-from msal_cli.auto.noise_model import is_like_draws
+from msal_cli.auto.noise_model import DRAWN_KINDS
 from msal_cli.auto.risk import RELAX, CandidateRuns
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, select_patch, surface_kind
 from msal_cli.mesh import Mesh
@@ -84,13 +84,14 @@ STRONG = 0.25
 BALANCED = Wishes()
 
 
-def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = BALANCED) -> Choice:
+def choose_adaptive(
+    mesh: Mesh, on_step: OnStep = lambda done, total: None, wishes: Wishes = BALANCED
+) -> Choice:
     """Choose parameters for ``mesh`` within the family of equation (2), or no change.
 
     The choice depends only on the mesh and on ``assume``, ``strength`` and ``keep`` of the
     ``wishes``; of ``keep`` only texture has an effect.
     """
-    step = on_step or (lambda done, total: None)
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
     noise = estimate.assume(wishes.assume, edge)
     if noise.is_negligible or not noise.mean_edges:
@@ -98,9 +99,9 @@ def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = 
         choice = blends.choose_least(noise, wishes, what, None)
     else:
         assumed = noise.assume(NOISE, edge)
-        choice = _choose_by_risk(mesh, assumed, step, noise.is_unsure, wishes)
-    step(1, 1)
-    return dataclasses.replace(choice, estimate=estimate, among=FAMILY)
+        choice = _choose_by_risk(mesh, assumed, on_step, noise.is_unsure, wishes)
+    on_step(1, 1)
+    return choice
 
 
 def _choose_by_risk(
@@ -130,12 +131,12 @@ def _choose_by_risk(
         on_step(done, total)
 
     runs = CandidateRuns(part, model, count, level * edge / part.mesh.mean_edge_length)
-    is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
+    is_drawn = is_unsure or bool(case.levels) or noise.character.kind in DRAWN_KINDS
     true = runs.result(LEARNED if is_drawn else ROBUST_LEARNED)
     surface = surface_kind(true)
     if surface == TEXTURED and not is_drawn:
-        both = runs.positions([ROBUST_LEARNED, LINEAR[0]], np.array([0.5, 0.5]))
-        true = true.with_vertices(both)
+        halves = [0.5 * runs.moves(candidate) for candidate in (ROBUST_LEARNED, LINEAR[0])]
+        true = true.with_vertices(part.mesh.vertices + halves[0] + halves[1])
     candidates = _candidates(case, level, noise, is_unsure, is_drawn)
     total = len(candidates) + 1
     shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
@@ -150,14 +151,7 @@ def _choose_by_risk(
     places, tilts, errors = runs.compare(moves, true)
     if is_unsure:
         risk = runs.rate(candidates, true, part.judged)
-        measures = (risk.positions, risk.slopes)
-        shares = np.min(
-            [
-                [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
-                for some in measures
-            ],
-            axis=0,
-        )
+        shares = np.array([hedge([risk], alone) for alone in np.eye(len(candidates))])
         moved = shares**2 * np.diag(risk.positions.gram)
         if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
         scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
@@ -234,8 +228,9 @@ def _undo_sliding(chosen: Candidate, noise: NoiseLevel) -> Candidate:
 
 def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
     """Seconds on one core of ``--auto`` if it comes much nearer to the truth than a choice within
-    the family, by half and more: on machined parts and under strong noise.  None in other cases."""
-    if choice.method == NONE or (choice.estimate is not None and choice.estimate.is_unsure):
+    the family for a mesh that surely has noise, by half and more: on machined parts and under
+    strong noise.  None in other cases."""
+    if choice.method == NONE:
         return None
     if choice.surface != MACHINED and choice.noise.mean_edges < STRONG:
         return None

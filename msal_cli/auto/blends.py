@@ -76,17 +76,23 @@ def best_weights(risks: Sequence[Risk], slopes: float) -> Floats:
     return weights
 
 
-def hedge(gain: float, moved: float) -> float:
-    """The share of a blend, 0 to 1, with the smallest error in the worse case, noise or texture.
+def hedge(risks: Sequence[Risk], weights: Floats) -> float:
+    """The share of a blend, 0 to 1, with the smallest error in the worse case, noise or texture:
+    the smaller one of positions and slopes, in the mean of the ``risks``.
 
-    In units of the squared noise, a share s of a blend with ``gain`` w'b and ``moved`` w'Mw has the
-    squared error s^2 w'Mw if all that it removes is texture, and 1 - 2 s w'b + s^2 w'Mw if it is
-    noise.  The larger of both is minimized; for a filter that removes noise and nothing else s is
-    1/2.
+    In units of the squared noise, a share s of a blend with weights w (k,) has the squared error
+    s^2 w'Mw if all that it removes is texture, and 1 - 2 s w'b + s^2 w'Mw if it is noise.  The
+    larger of both is minimized; for a filter that removes noise and nothing else s is 1/2.
     """
-    if gain <= 0.0 or moved <= 0.0:
-        return 0.0
-    return round(min(0.5 / gain, gain / moved, 1.0), 2)
+    share = 1.0
+    for measure in ("positions", "slopes"):
+        counted = [getattr(risk, measure) for risk in risks]
+        gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
+        moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
+        if gain <= 0.0 or moved <= 0.0:
+            return 0.0
+        share = min(share, round(min(0.5 / gain, gain / moved), 2))
+    return share
 
 
 def least_over_simplex(gram: Floats, gain: Floats) -> Floats:

@@ -45,13 +45,6 @@ class NoiseModel:
     axis: tuple[float, float, float] | None = None  # unit vector (3,) of ``AXIS``; else None
     # (n,) level of each vertex over ``level``, for uneven noise; else None
     shares: Floats | None = None
-    # step of quantised depths, file units; 0 for none.  They are rounded along the axis or, if
-    # there is none, along the coordinate axis nearest to the normal
-    step: float = 0.0
-
-    @property
-    def is_gaussian(self) -> bool:
-        return not self.step
 
     def along_normals(self) -> NoiseModel:
         """The same noise along the normals if it is isotropic."""
@@ -66,19 +59,13 @@ class NoiseModel:
             return self
         return dataclasses.replace(self, shares=self.shares[numbers])
 
-    def variance(self, judged: NDArray[np.bool_]) -> float:
-        """Mean squared displacement over the ``judged`` vertices (n,), squared file units."""
-        coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
-        if self.shares is None or not judged.any():
-            return coordinates * self.level * self.level
-        some = self.shares[judged]
-        return coordinates * self.level * self.level * float((some * some).mean())
-
     def height(self, judged: NDArray[np.bool_], normals: Floats | None = None) -> float:
         """Root mean square of the normal displacement over the ``judged`` vertices (n,), file
         units.  For noise along an axis it depends on the ``normals`` (n, 3)."""
-        coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
-        height = math.sqrt(self.variance(judged) / coordinates)
+        height = self.level
+        if self.shares is not None and judged.any():
+            some = self.shares[judged]
+            height = math.sqrt(self.level * self.level * float((some * some).mean()))
         if self.axis is None or normals is None:
             return height
         along = normals[judged] @ np.asarray(self.axis)
@@ -103,11 +90,6 @@ class NoiseModel:
         return np.asarray(self.scale * (fields[0][:, None] * along))
 
 
-def is_like_draws(noise: NoiseLevel) -> bool:
-    """Whether samples of a model are like the noise, which holds for white and isotropic noise."""
-    return noise.character.kind in DRAWN_KINDS
-
-
 def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     """The estimated noise of a mesh as a random field."""
     character = noise.character
@@ -118,11 +100,4 @@ def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
         local = np.maximum(local_levels(mesh) * (mesh.mean_edge_length / level), QUIETEST)
         used = local[mesh.topology.has_ring]
         shares = local / math.sqrt(float((used * used).mean()))
-    return NoiseModel(
-        level,
-        character.rings,
-        character.direction,
-        character.axis,
-        shares,
-        character.step * mesh.mean_edge_length,
-    )
+    return NoiseModel(level, character.rings, character.direction, character.axis, shares)

@@ -20,6 +20,7 @@ are.  Only ``judged`` vertices count.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -65,7 +66,7 @@ class Quadratic:
 
     def at(self, weights: Floats) -> float:
         """The value for weights (k,); errors of the estimate may make it negative."""
-        # No BLAS product, see ``_gram``.
+        # No BLAS product, see ``_known``.
         gained = np.einsum("i,i->", weights, self.gain)
         return float(1.0 - 2.0 * gained + np.einsum("i,ij,j->", weights, self.gram, weights))
 
@@ -90,11 +91,6 @@ class Risk:
     def of(self, members: Sequence[int]) -> Risk:
         """The same for some of the filters."""
         return Risk(self.positions.of(members), self.slopes.of(members))
-
-    def log_errors(self, floor: float) -> tuple[Floats, Floats]:
-        """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
-        positions = np.log(np.maximum(self.positions.singles(), floor))
-        return positions, np.log(np.maximum(self.slopes.singles(), floor))
 
 
 def _slopes(
@@ -130,19 +126,6 @@ def _slopes(
     return slopes
 
 
-def _gram(rows: Floats) -> Floats:
-    """All scalar products (k, k) of rows (k, ...), summed in a fixed order.
-
-    Not by a BLAS product, whose last digit may depend on the number of threads.
-    """
-    flat = rows.reshape(len(rows), -1)
-    gram = np.empty((len(flat), len(flat)))
-    for k, row in enumerate(flat):
-        gram[k, k:] = np.einsum("ij,j->i", flat[k:], row)
-        gram[k:, k] = gram[k, k:]
-    return gram
-
-
 class SimulatedRisk:
     """Runs filters on a simulated mesh: ``pilot`` (m, 3), taken as truth, with ``noise``.
 
@@ -159,14 +142,15 @@ class SimulatedRisk:
         added: str,
         on_run: Callable[[], object],
     ) -> None:
-        self._part, self._noise = part, _at_least(noise, part.mesh)
+        noise = noise.at_level(max(noise.level, MIN_NOISE * part.mesh.mean_edge_length))
+        self._part, self._is_isotropic = part, noise.direction == ISOTROPIC
         truth = part.mesh.with_vertices(pilot)
         self._normals = truth.vertex_normals("uniform")
         if added == MIRRORED:
             moved = pilot - part.mesh.vertices
         else:
             generator = np.random.Generator(np.random.PCG64(SEED))
-            moved = self._noise.draw(truth, self._normals, generator)
+            moved = noise.draw(truth, self._normals, generator)
         self._noisy = truth.with_vertices(pilot + moved)
         self._back = pilot - self._noisy.vertices
         self._moves = np.empty((len(runs), *pilot.shape))
@@ -183,7 +167,7 @@ class SimulatedRisk:
     def risk(self, judged: Flags | None = None) -> Risk:
         """The risk of blends over the vertices ``judged`` (m,); None for those of the part."""
         judged = self._part.judged if judged is None else judged
-        slopes = _slopes(self._noisy, self._normals, judged, self._noise.direction == ISOTROPIC)
+        slopes = _slopes(self._noisy, self._normals, judged, self._is_isotropic)
         seen = np.where(judged[None, :, None], self._moves, 0.0)
         return Risk(
             _known(seen, np.where(judged[:, None], self._back, 0.0)),
@@ -198,24 +182,19 @@ def _square(values: Floats) -> float:
 
 
 def _known(rows: Floats, wanted: Floats) -> Quadratic:
-    """The quadratic error of combinations of rows (k, ...) that approximate ``wanted`` (...)."""
-    flat = rows.reshape(len(rows), -1)
-    aim = wanted.reshape(-1)
-    gram = _gram(flat)
-    scale = _at_least_some(float(np.einsum("i,i->", aim, aim)), gram)
-    return Quadratic(gram / scale, np.einsum("ij,j->i", flat, aim) / scale)
+    """The quadratic error of combinations of rows (k, ...) that approximate ``wanted`` (...).
 
-
-def _at_least_some(noise: float, gram: Floats) -> float:
-    """The squared noise, with a minimum, to divide ``gram`` (k, k) by.
-
-    Without noise each displacement is an error, which is then large but finite.
+    Scalar products are summed in a fixed order, not by a BLAS product, whose last digit may depend
+    on the number of threads.
     """
-    return max(noise, MIN_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
-
-
-def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
-    return noise.at_level(max(noise.level, MIN_NOISE * mesh.mean_edge_length))
+    flat = rows.reshape(len(rows), -1)
+    gram = np.empty((len(flat), len(flat)))
+    for k, row in enumerate(flat):
+        gram[k, k:] = np.einsum("ij,j->i", flat[k:], row)
+        gram[k:, k] = gram[k, k:]
+    # Without noise each displacement is an error, which is then large but finite.
+    scale = max(_square(wanted), MIN_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
+    return Quadratic(gram / scale, np.einsum("ij,j->i", flat, wanted.reshape(-1)) / scale)
 
 
 # Runs of candidates on one part of the mesh
@@ -239,9 +218,6 @@ RELAX_PATCH = 4_000
 
 PROBE_STEP = 0.1
 """Size of the probe's displacements, in standard deviations of the noise."""
-
-MIN_MEMBER_WEIGHT = 0.01
-"""Members of a pilot below this weight are ignored."""
 
 
 class CandidateRuns:
@@ -271,15 +247,16 @@ class CandidateRuns:
 
     def moves(self, candidate: Candidate, mesh: Mesh | None = None) -> Floats:
         """Displacements (m, 3) by a candidate on the part, or on a ``mesh`` with the same faces."""
-        return self._runner(candidate)(mesh or self.part.mesh)
-
-    def positions(self, candidates: Sequence[Candidate], weights: Floats) -> Floats:
-        """Positions (m, 3) of the part after a blend of candidates by weights (k,)."""
-        positions = self.part.mesh.vertices.copy()
-        for weight, candidate in zip(weights, candidates, strict=True):
-            if weight >= MIN_MEMBER_WEIGHT:
-                positions += weight * self.moves(candidate)
-        return positions
+        method = methods.find(candidate.method)
+        values = method.validate(candidate.settings(self._edges))
+        if mesh is not None:
+            return np.asarray(method.denoise(mesh, values).vertices - mesh.vertices)
+        # Candidates with other settings may have the same label.
+        key = candidate.method, repr(values)
+        if key not in self._known:
+            scanned = self.part.mesh
+            self._known[key] = method.denoise(scanned, values).vertices - scanned.vertices
+        return self._known[key]
 
     def result(self, candidate: Candidate) -> Mesh:
         """The part after a candidate."""
@@ -289,7 +266,7 @@ class CandidateRuns:
         self, candidates: Sequence[Candidate], first: Floats, added: str = DRAWN
     ) -> SimulatedRisk:
         """Simulate candidates with ``first`` (m, 3) as the truth; see ``SimulatedRisk``."""
-        runs = [self._runner(candidate) for candidate in candidates]
+        runs = [functools.partial(self.moves, candidate) for candidate in candidates]
         return SimulatedRisk(self.part, first, runs, self.noise, added, self._on_run)
 
     def rate(self, candidates: Sequence[Candidate], true: Mesh, judged: Flags) -> Risk:
@@ -323,24 +300,6 @@ class CandidateRuns:
         places, tilts = 2.0 * np.log(lengths / lengths[0]), 2.0 * np.log(angles / angles[0])
         return places[1:], tilts[1:], lengths[1:]
 
-    def _runner(self, candidate: Candidate) -> Run:
-        """A function that returns the displacements by a candidate, cached for the part."""
-        method = methods.find(candidate.method)
-        values = method.validate(candidate.settings(self._edges))
-        # Candidates with other settings may have the same label.
-        key = candidate.method, repr(values)
-
-        def run(mesh: Mesh) -> Floats:
-            is_part = mesh is self.part.mesh
-            if is_part and key in self._known:
-                return self._known[key]
-            moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
-            if is_part:
-                self._known[key] = moves
-            return moves
-
-        return run
-
 
 def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
     """The number of passes that relax the triangles before other filters.
@@ -363,7 +322,7 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
     change = _relaxing_moves(mesh.with_vertices(mesh.vertices + PROBE_STEP * push)) - moves
     divergence = float(np.einsum("ij,ij->", push[inside], change[inside])) / PROBE_STEP
     gain = -divergence / max(_square(push[inside]), np.finfo(float).tiny)
-    variance = max(int(inside.sum()), 1) * noise.variance(inside)
+    variance = 3.0 * max(int(inside.sum()), 1) * noise.height(inside) ** 2
     left = 1.0 - 2.0 * gain + _square(moves[inside]) / max(variance, np.finfo(float).tiny)
     if MIN_LEFT <= left <= MAX_LEFT:
         return RELAX
@@ -386,9 +345,6 @@ def _relaxing_moves(mesh: Mesh) -> Floats:
 Filter = tuple[Method | None, Mapping[str, Any]]
 """A method and all its parameters; None is the unchanged mesh."""
 
-COMPARED_VERTICES = 6_000
-"""Vertices of the part on which filters are compared, as in the search."""
-
 
 def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None:
     """The estimated root mean square distance of each result from the true surface, in mean edge
@@ -399,29 +355,26 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
         return None
-    part = select_patch(mesh, COMPARED_VERTICES)
+    part = select_patch(mesh)
     model = build_model(mesh, noise).on_part(part.numbers)
-
-    is_gaussian = model.is_gaussian and not noise.is_impulsive
+    is_gaussian = not noise.character.step and not noise.is_impulsive
     trials = CandidateRuns(part, model, lambda: None)
     first = trials.result(LEARNED if is_gaussian else ROBUST_LEARNED)
     normals, is_isotropic = first.vertex_normals("uniform"), model.direction == ISOTROPIC
     model = model.along_normals()
 
-    def across(moves: Floats) -> Floats:
-        # Tangential displacements do not count.
+    def run(given: Filter, mesh: Mesh) -> Floats:
+        method, values = given
+        if method is None:
+            return np.zeros_like(mesh.vertices)
+        moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
+        # Under isotropic noise tangential displacements do not count.
         heights = np.einsum("ij,ij->i", moves, normals)[:, None]
         return heights * normals if is_isotropic else moves
 
-    def run_of(given: Filter) -> Any:
-        method, values = given
-        if method is None:
-            return lambda mesh: np.zeros_like(mesh.vertices)
-        return lambda mesh: across(method.denoise(mesh, values).vertices - mesh.vertices)
-
-    runs = [run_of(given) for given in filters]
+    runs = [functools.partial(run, given) for given in filters]
     added = DRAWN if is_gaussian else MIRRORED
     judge = SimulatedRisk(part, first.vertices, runs, model, added, lambda: None)
     shares = np.sqrt(np.maximum(judge.risk().positions.singles(), 0.0))
-    unit = model.variance(part.judged) ** 0.5 / mesh.mean_edge_length
+    unit = model.height(part.judged) / mesh.mean_edge_length
     return [float(share) * unit for share in shares]

@@ -16,6 +16,10 @@ from msal_cli.mesh import Mesh
 
 Ints = NDArray[Any]
 
+PART = 6_000
+"""Vertices of the part that candidates of a search run on; on smaller parts the estimates scatter
+too much."""
+
 PATCH = 2_000
 """Approximate number of vertices of a patch: smaller ones have too many vertices near the cut."""
 
@@ -36,7 +40,7 @@ class Part:
     numbers: Ints | None = None  # (m,) vertex numbers in the whole mesh; None for the whole
 
 
-def select_patch(mesh: Mesh, most: int) -> Part:
+def select_patch(mesh: Mesh, most: int = PART) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
 
     Fixed vertices and those that no face uses are not evaluated.  The sample has neither

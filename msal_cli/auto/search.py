@@ -36,7 +36,7 @@ from msal_cli.auto.candidates import (
     Candidate,
     sharpen,
 )
-from msal_cli.auto.noise_model import is_like_draws
+from msal_cli.auto.noise_model import DRAWN_KINDS
 from msal_cli.auto.risk import MIRRORED, CandidateRuns, Risk, SimulatedRisk
 from msal_cli.auto.sample_patch import (
     CLEAN,
@@ -54,9 +54,6 @@ LARGE, MOST_COST = 200_000, 1.3 * LEARNED.cost
 """Number of vertices from which the total cost of the members of a blend is limited, and that
 limit, hardly more than the learned filter alone.  On smaller meshes that filter may run twice, for
 the noise and for twice the noise: angles are 1 % smaller."""
-
-PART = 6_000
-"""Vertices of the part that candidates run on; on smaller parts the estimates scatter too much."""
 
 MIN_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -93,25 +90,21 @@ HARM = "every filter would add more error than it takes away"
 _KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
 
 
-def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep = lambda done, total: None) -> Choice:
     """Choose the best method or blend for ``mesh``.
 
     Fixed vertices do not move.  If the mesh has ``Mesh.trust``, only methods with a data term,
     which the trust scales, are candidates.
     """
-    step = on_step or (lambda done, total: None)
     edge = mesh.mean_edge_length
     estimate = estimate_noise(mesh)
     noise = estimate.assume(wishes.assume, edge)
     is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
-        step(1, 1)
+        on_step(1, 1)
         what = blends.describe_rest(estimate, noise)
-        choice = blends.choose_least(noise, wishes, what, CLEAN)
-    else:
-        noise = noise.assume(NOISE, edge)
-        choice = _Search(mesh, wishes, noise, step, is_unsure).choose()
-    return dataclasses.replace(choice, estimate=estimate)
+        return blends.choose_least(noise, wishes, what, CLEAN)
+    return _Search(mesh, wishes, noise.assume(NOISE, edge), on_step, is_unsure).choose()
 
 
 class _Search:
@@ -223,7 +216,7 @@ class _Search:
         )
 
     def _trials(self) -> CandidateRuns:
-        part = select_patch(self.mesh, PART)
+        part = select_patch(self.mesh)
         return CandidateRuns(part, self.model.on_part(part.numbers), self._step)
 
     @property
@@ -232,8 +225,7 @@ class _Search:
         noise = self.noise
         is_weak = noise.mean_edges < WEAK and self._width > SURE and not noise.is_uneven
         is_range_scan = is_weak and is_seen_from_one_side(self.mesh)
-        is_like = is_like_draws(noise) or noise.character.kind == "unknown"
-        return is_like and not is_range_scan
+        return noise.character.kind in (*DRAWN_KINDS, "unknown") and not is_range_scan
 
     @property
     def _width(self) -> float:
@@ -266,7 +258,10 @@ class _Search:
         """Score (k,) of each single candidate; smaller is better."""
         score = np.zeros(len(risks[0].positions.gain))
         for risk in risks:
-            places, tilts = risk.log_errors(blends.FLOOR)
+            places, tilts = (
+                np.log(np.maximum(measure.singles(), blends.FLOOR))
+                for measure in (risk.positions, risk.slopes)
+            )
             score += (1.0 - self.slopes) * places + self.slopes * tilts
         return score
 
@@ -318,7 +313,7 @@ class _Search:
         risks = [judge.risk() for judge in judges]
         weights = self._adjust(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
-        share = self.wishes.share * (_hedge(risks, weights) if self.is_unsure else 1.0)
+        share = self.wishes.share * (blends.hedge(risks, weights) if self.is_unsure else 1.0)
         # To keep only the smooth shape, one step stronger.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
@@ -360,14 +355,3 @@ class _Search:
     def _step(self) -> None:
         self._done += 1
         self._on_step(min(self._done, self._total - 1), self._total)
-
-
-def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
-    """The share of a blend by ``blends.hedge``, the smaller one of positions and slopes."""
-    shares = []
-    for measure in ("positions", "slopes"):
-        counted = [getattr(risk, measure) for risk in risks]
-        gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
-        moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
-        shares.append(blends.hedge(gain, moved))
-    return min(shares)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes
+from msal_cli.auto import ALL, FAMILY, NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
 from msal_cli.light_dataclass import dataclass, field
@@ -89,6 +89,7 @@ def choose(
     """Choose for ``mesh`` by the wishes ``given``, fields of ``Wishes``: ``among`` all methods
     (``AUTO``), or within the family of equation (2) (``ADAPTIVE``)."""
     from msal_cli import methods
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
     auto_seconds, wishes = None, Wishes(**given)
     if among == AUTO:
@@ -99,7 +100,8 @@ def choose(
         from msal_cli.auto import adaptive
 
         choice = adaptive.choose_adaptive(mesh, on_step, wishes)
-        auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
+        if not estimate_noise(mesh).is_unsure:
+            auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     parameters = {} if method is None else method.validate(choice.parameters)
@@ -112,7 +114,7 @@ def choose(
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
         wishes=dict(given),
         repeat=options_of(method, parameters),
-        among=choice.among,
+        among=ALL if among == AUTO else FAMILY,
         auto_seconds=auto_seconds,
     )
     warnings: tuple[str, ...] = ()

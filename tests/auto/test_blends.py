@@ -30,7 +30,7 @@ from msal_cli.auto.risk import Quadratic, Risk
     ],
 )
 def test_a_hedge_is_least_in_the_worse_case(gain, moved, share):
-    found = hedge(gain, moved)
+    found = hedge([risk(quadratic([[moved]], [gain]))], np.ones(1))
     assert found == share
     shares = np.linspace(0.0, 1.0, 1001)
     worse = np.maximum(shares**2 * moved, 1.0 - 2.0 * shares * gain + shares**2 * moved)
