@@ -173,10 +173,7 @@ def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
     """
     if not rings:
         return heights
-    counts = np.diff(mesh.topology.ring_start).astype(np.float64)
-    for _ in range(rings):
-        means = geometry.ring_means(heights, *mesh.topology.one_ring)
-        heights = (counts * means + heights) / (counts + 1.0)
+    heights = geometry.average_around(heights, *mesh.topology.one_ring, rings)
     used = heights[mesh.topology.has_ring]
     return heights / math.sqrt(float((used * used).mean()))
 

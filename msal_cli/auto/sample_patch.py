@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats
+from msal_cli.arrays import Flags
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.faces import face_rings
+from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.quantiles import find_distinct, quantiles
 from msal_cli.kernels.spatial_order import order_in_space
@@ -93,7 +93,7 @@ def _grow(
         while len(front):
             inside[front] = True
             marked += len(front)
-            reached = find_distinct(_rings_of(front, links))
+            reached = find_distinct(links.rings_of(front)[1])
             front = reached[~inside[reached]][: size - marked]
 
 
@@ -101,21 +101,11 @@ def _cut_rings(used: Ints, links: Connectivity) -> Flags:
     """Whether each vertex (n,) is within ``MARGIN`` rings of one that is not ``used``."""
     near = np.ones(len(links.has_ring), dtype=np.bool_)
     near[used] = False
-    ring = _rings_of(used, links)
-    owner = np.repeat(used, links.ring_start[used + 1] - links.ring_start[used])
+    rows, ring, _ = links.rings_of(used)
+    owner = used[rows]
     for _ in range(MARGIN):
         near[owner[near[ring]]] = True
     return near
-
-
-def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
-    """The concatenated one-rings of ``vertices``."""
-    start, stop = links.ring_start[vertices], links.ring_start[vertices + 1]
-    counts = (stop - start).astype(np.int64)
-    ends = np.cumsum(counts)
-    places = np.arange(counts.sum()) + np.repeat(start - (ends - counts), counts)
-    neighbours: Ints = links.ring[places]
-    return neighbours
 
 
 # The kind of a surface, by its dihedral angles
@@ -151,21 +141,10 @@ def is_seen_from_one_side(mesh: Mesh) -> bool:
 
 def surface_kind(mesh: Mesh) -> str:
     """``MACHINED``, ``TEXTURED`` or ``ORGANIC``, for a mesh without much noise."""
-    angles = _angles_deg(mesh)
+    angles = dihedral_angles(mesh.vertices, flaps(mesh.faces, mesh.topology))
     if not len(angles):
         return ORGANIC
-    usual, rough, sharp = quantiles(angles, (0.75, 0.9, 0.98))
+    usual, rough, sharp = np.degrees(quantiles(angles, (0.75, 0.9, 0.98)))
     if sharp > SHARP * usual and sharp > ROUGH_DEG:
         return MACHINED
     return TEXTURED if rough >= ROUGH_DEG and sharp <= EVEN * usual else ORGANIC
-
-
-def _angles_deg(mesh: Mesh) -> Floats:
-    """Angles between the normals of faces that share an edge, degrees, each pair once."""
-    normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
-    start, ring = face_rings(mesh.faces, mesh.topology, "edge")
-    first = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    kept = (first < ring) & (areas[first] > 0.0) & (areas[ring] > 0.0)
-    alike = np.einsum("ij,ij->i", normals[first[kept]], normals[ring[kept]])
-    angles: Floats = np.degrees(np.arccos(np.clip(alike, -1.0, 1.0)))
-    return angles

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Ints
+from msal_cli.arrays import Flags, Ints, Longs
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
@@ -172,6 +172,15 @@ class Connectivity:
     def one_ring(self) -> tuple[Ints, Ints]:
         """The one-rings in CSR form: where they start (n + 1,), and the neighbours."""
         return self.ring_start, self.ring
+
+    def rings_of(self, vertices: Longs) -> tuple[Longs, Longs, Longs]:
+        """The concatenated one-rings of vertices (c,): for each neighbour (k,) the index of its
+        vertex into ``vertices``, and its own vertex number; and the valences (c,)."""
+        starts = self.ring_start[vertices]
+        counts = (self.ring_start[vertices + 1] - starts).astype(np.int64)
+        rows = np.repeat(np.arange(len(vertices)), counts)
+        at = np.arange(len(rows)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+        return rows, self.ring[at].astype(np.int64), counts
 
     @functools.cached_property
     def incidence(self) -> tuple[Ints, Ints]:

@@ -401,7 +401,7 @@ def characterize(mesh: Mesh) -> Estimate:
         measured = verdict.level
     elif not is_named:
         # If in doubt, the level by the finest fits, to which relief adds least.
-        measured = min(measured, white.level.mean_edges)
+        measured = min(measured, white.level)
         verdict = _with_level(verdict, measured)
     elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
         # In range scans uneven rows look like tangential displacements larger than those of noise.
@@ -432,26 +432,25 @@ def characterize(mesh: Mesh) -> Estimate:
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
     )
     if is_named:
-        character = dataclasses.replace(
-            character, **_describe_kind(evidence, verdict, white.level.tail)
-        )
+        character = dataclasses.replace(character, **_describe_kind(evidence, verdict, white.tail))
     readings = _order_readings(verdict.level, verdict.noise)
     level, low = verdict.level, verdict.low
     if verdict.kind == "impulsive":
-        level = min(level, white.level.mean_edges)
+        level = min(level, white.level)
     if verdict.kind == "white":
         # The fits measure white noise, so their lower bound, which allows for relief, applies.
-        low = min(low, white.level.low)
-    noise = dataclasses.replace(
-        white.level,
+        low = min(low, white.low)
+    noise = NoiseLevel(
         mean_edges=level,
         low=0.0 if readings[0].probability < MIN_PROBABILITY else low,
         high=max(verdict.high, verdict.level),
         file_units=level * white.edge,
-        rms_edges=max(verdict.level, white.level.rms_edges),
+        rms_edges=max(verdict.level, white.rms),
+        tail=white.tail,
         is_negligible=False,
         lowest=level,
         highest=level,
+        regions=len(white.regions),
         character=character,
         readings=readings,
     )
@@ -583,16 +582,17 @@ def _without_noise(
 ) -> Estimate:
     """The estimate that there is no noise, or not enough to be seen; ``highest`` is the level that
     it may have if that is unsure."""
-    noise = dataclasses.replace(
-        white.level,
+    noise = NoiseLevel(
         mean_edges=0.0,
         low=0.0,
         high=highest,
         file_units=0.0,
         rms_edges=0.0,
+        tail=white.tail,
         is_negligible=True,
         lowest=0.0,
         highest=0.0,
+        regions=len(white.regions),
         character=NoiseCharacter("none", confidence=probability, basis=basis),
         readings=_order_readings(highest, 1.0 - probability),
     )

@@ -16,14 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.fits import (
-    FOUR,
-    THREE,
-    Survey,
-    chi_square_quantile,
-    quantile,
-    ring_rows,
-)
+from msal_cli.analysis.noise_estimate.fits import FOUR, THREE, Survey, chi_square_quantile, quantile
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import count_parallel
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
@@ -395,7 +388,7 @@ class StepEvidence:
 
 def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvidence:
     """The steps along the axes of the file, along those of a turned grid, or along one axis."""
-    rows, neighbours, _ = ring_rows(mesh, survey.vertices)
+    rows, neighbours, _ = mesh.topology.rings_of(survey.vertices)
     differences = mesh.vertices[neighbours] - mesh.vertices[survey.vertices[rows]]
     differences /= mesh.mean_edge_length
     frame, is_turned = np.eye(3), False

@@ -41,7 +41,6 @@ from msal_cli.analysis.noise_estimate.fits import (
     chi_square_quantile,
     quantile,
     ring_offsets,
-    ring_rows,
     split_regions,
     take_survey,
 )
@@ -381,7 +380,7 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     base = TINY
     if len(variances):
         base = max(math.sqrt(float(quantiles(variances, (0.5,))[0])) / white.edge, TINY)
-    colour = find_colour(survey, fine=white.level.mean_edges)
+    colour = find_colour(survey, fine=white.level)
     linked = fitted = axis = axis_colour = None
     if groups is not None:
         # The axes of the largest tangential displacements, and of the best fit of variances.
@@ -395,8 +394,8 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     outliers, within = outlying_share(mesh, white, survey)
     neighbours = _neighbour_numbers(mesh, survey)
     numbers = [
-        _log(white.level.mean_edges),
-        _log(white.level.rms_edges),
+        _log(white.level),
+        _log(white.rms),
         MISSING if colour is None else _log(colour.level),
         MISSING if axis is None else _log(axis.best_level),
         MISSING if axis_colour is None else _log(axis_colour.level),
@@ -482,14 +481,12 @@ def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
 
 
 def _white_numbers(white: WhiteEstimate, base: float) -> list[float]:
-    level, fits = white.level, white.fits
+    fits = white.fits
     numbers = [
-        _log(level.mean_edges, base),
-        _log(level.low, base),
-        _log(level.high, base),
-        level.tail,
-        _log(level.rms_edges, base),
-        float(level.is_negligible),
+        *_logs(np.array([white.level, white.low, white.high]), base),
+        white.tail,
+        _log(white.rms, base),
+        float(white.is_negligible),
     ]
     for fit in range(4):
         variances = fits.variances[:, fit][fits.freedoms[:, fit] > 0]
@@ -579,7 +576,7 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
     step = max(-(-len(survey.vertices) // MAX_NEIGHBOUR_PLACES), 1)
     places, normals = survey.vertices[::step], survey.normals[::step]
     own = survey.offsets[::step]
-    of, neighbours, counts = ring_rows(mesh, places)
+    of, neighbours, counts = mesh.topology.rings_of(places)
     if not len(of):
         return [MISSING] * 8
     others, valences = ring_offsets(mesh, neighbours)

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_uneven
+from msal_cli.analysis.noise_estimate.level import are_spikes, are_uneven
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels.patch_fits import fit_patches, fit_scales
 from msal_cli.kernels.quantiles import student
@@ -71,21 +71,11 @@ def chi_square_table(share: float) -> Floats:
 # Neighbours of places
 
 
-def ring_rows(mesh: Mesh, vertices: Longs) -> tuple[Longs, Longs, Longs]:
-    """The concatenated one-rings of vertices (c,): for each neighbour (k,) the index of its vertex
-    into ``vertices``, and its own vertex number; and the valences (c,)."""
-    starts, ring = mesh.topology.one_ring
-    counts = (starts[vertices + 1] - starts[vertices]).astype(np.int64)
-    rows = np.repeat(np.arange(len(vertices)), counts)
-    at = np.arange(len(rows)) + np.repeat(starts[vertices] - (np.cumsum(counts) - counts), counts)
-    return rows, ring[at].astype(np.int64), counts
-
-
 def ring_offsets(mesh: Mesh, vertices: Longs) -> tuple[Floats, Longs]:
     """Offsets (c, 3) of vertices (c,), which may repeat, from the means of their one-rings, file
     units; and the valences (c,)."""
     unique, where = np.unique(vertices, return_inverse=True)
-    rows, neighbours, counts = ring_rows(mesh, unique)
+    rows, neighbours, counts = mesh.topology.rings_of(unique)
     offsets = np.empty((len(unique), 3))
     for axis in range(3):
         sums = np.bincount(rows, mesh.vertices[neighbours, axis], len(unique))
@@ -271,9 +261,15 @@ PLANE, NEAR, FAR, CUBIC = range(4)
 
 @dataclass(frozen=True, eq=False)
 class WhiteEstimate:
-    """The level by fits over one- and two-rings, if the noise is white."""
+    """The level by fits over one- and two-rings, if the noise is white; see ``NoiseLevel``."""
 
-    level: NoiseLevel
+    # level, low, high, rms: the level, its interval, and with spikes, mean edge lengths
+    level: float
+    low: float
+    high: float
+    rms: float
+    tail: float  # share of the vertices whose residual is in the tail
+    is_negligible: bool
     places: Longs  # (c,) vertices around which the fits are
     middles: Floats  # (r, 3) centres of the regions
     regions: Floats  # (r,) levels of the regions, file units
@@ -318,21 +314,21 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     rms = math.sqrt(max(level * level, (1.0 - FAR_OUT_EXCESS) * level * level + excess))
     if is_impulsive:
         high = max(high, rms * (1.0 + SPREAD + error))
-    edges = level / edge
-    is_small = edges < NEGLIGIBLE or (low == 0.0 and high < DOUBTFUL * edge)
-    noise = NoiseLevel(
-        mean_edges=edges,
+    is_small = level / edge < NEGLIGIBLE or (low == 0.0 and high < DOUBTFUL * edge)
+    return WhiteEstimate(
+        level=level / edge,
         low=min(low, level) / edge,
         high=high / edge,
-        file_units=level,
-        rms_edges=rms / edge,
+        rms=rms / edge,
         tail=tail,
         is_negligible=is_small and not are_spikes(rms / edge, tail),
-        lowest=lowest / edge,
-        highest=highest / edge,
-        regions=len(regions),
+        places=places,
+        middles=mesh.vertices[places[middles]],
+        regions=regions,
+        far=far,
+        fits=fits,
+        edge=edge,
     )
-    return WhiteEstimate(noise, places, mesh.vertices[places[middles]], regions, far, fits, edge)
 
 
 def _choose_places(mesh: Mesh) -> Longs:
