@@ -136,18 +136,12 @@ def _filter_rings(
     similarity,
     heights,
     sigma,
-    v,
-    offsets,
-    tau,
-    constant,
-    moved,
 ):
     """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5).
 
     Points are flat, three numbers each.  With a ``closeness`` the weight g is a product of two
-    Gaussians, computed as one exponential; if it is 0, g is that of eq. (5).  Without ``moved``
-    heights and sigma are written and the largest sigma is returned; with it, a whole sweep is done:
-    new offsets t, and v + t n in ``moved``.
+    Gaussians, computed as one exponential; if it is 0, g is that of eq. (5).  Returns the largest
+    sigma.
     """
     ring_start, ring = ring_start.view(np.uint32), ring.view(np.uint32)
     stop = np.uint64(stop)
@@ -186,36 +180,44 @@ def _filter_rings(
         scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
+            for at in range(width):
+                room[scales + at] = 0.0
+                room[sums + at] = 0.0
+                room[weights + at] = 0.0
+                room[least + at] = np.inf
+                room[factors + at] = 0.0
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    room[sums + at] += room[place + at]
+                place += width
+            for at in range(width):
+                room[sums + at] /= max(m, ONE)
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    room[scales + at] += abs(room[place + at] - room[sums + at])
+                place += width
             if is_bilateral:
-                # Exponents by distance are added to those by height.
-                for at in range(width):
-                    room[least + at] = np.inf
-                    room[scales + at] = 0.0
-                    room[sums + at] = 0.0
-                    room[weights + at] = 0.0
-                    room[factors + at] = 0.0
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        room[sums + at] += room[place + at]
-                    place += width
-                for at in range(width):
-                    room[sums + at] /= max(m, ONE)
                 place = row
                 for _ in range(m):
                     for at in range(width):
                         offset = room[place + at] - room[sums + at]
-                        room[scales + at] += abs(offset)
                         room[factors + at] += offset * offset
                     place += width
-                for at in range(width):
-                    room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
-                    scale = np.sqrt(room[factors + at] / max(m, ONE))
-                    scale = scale if similarity == 0.0 else similarity
-                    scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * vec.LOG2_E / (scale * scale)
-                    room[sums + at] = 0.0
-                place = row
+            for at in range(width):
+                scale = 2.0 * room[scales + at] / max(m, ONE)
+                spread = np.sqrt(room[factors + at] / max(m, ONE))
+                room[scales + at] = scale
+                scale = scale if not is_bilateral else (similarity if similarity > 0.0 else spread)
+                scale = scale if scale > floor else floor
+                room[factors + at] = 0.5 * vec.LOG2_E / (scale * scale)
+                room[sums + at] = 0.0
+            # Scaled so that the largest weight is 1: the quotient of eq. (5) is the same, and never
+            # 0/0 if sigma is tiny.
+            place = row
+            if is_bilateral:
+                # Exponents by distance are added to those by height.
                 for _ in range(m):
                     for at in range(width):
                         h = room[place + at]
@@ -223,45 +225,21 @@ def _filter_rings(
                         room[apart + place + at] = exponent
                         room[least + at] = min(room[least + at], exponent)
                     place += width
-                place = row
                 for _ in range(m):
                     for at in range(width):
-                        g = vec.power_of_two(room[least + at] - room[apart + place + at])
+                        g = vec.power_of_two(room[least + at] - room[apart + row + at])
                         room[weights + at] += g
-                        room[sums + at] += g * room[place + at]
-                    place += width
-                row += m * width
+                        room[sums + at] += g * room[row + at]
+                    row += width
             else:
-                for at in range(width):
-                    room[least + at] = np.inf
-                    room[scales + at] = 0.0
-                    room[sums + at] = 0.0
-                    room[weights + at] = 0.0
-                place = row
                 for _ in range(m):
                     for at in range(width):
                         h = room[place + at]
-                        room[sums + at] += h
                         room[least + at] = min(room[least + at], h * h)
                     place += width
-                for at in range(width):
-                    room[sums + at] /= max(m, ONE)
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        room[scales + at] += abs(room[place + at] - room[sums + at])
-                    place += width
-                for at in range(width):
-                    scale = 2.0 * room[scales + at] / max(m, ONE)
-                    room[scales + at] = scale
-                    scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * vec.LOG2_E / (scale * scale)
-                    room[sums + at] = 0.0
                 for _ in range(m):
                     for at in range(width):
                         h = room[row + at]
-                        # Scaled so that the largest weight is 1: the quotient of eq. (5) is the
-                        # same, and never 0/0 if sigma is tiny.
                         g = vec.power_of_two((room[least + at] - h * h) * room[factors + at])
                         room[weights + at] += g
                         room[sums + at] += g * h
@@ -275,19 +253,9 @@ def _filter_rings(
         for i in range(first, last):
             lane = table[chosen + i - first]
             moves = free[i] and ring_start[i + ONE] > ring_start[i]
-            height = room[sums + lane] / room[weights + lane] if moves else 0.0
-            if len(moved):
-                t = offsets[i]
-                t = t + tau * height - constant * t
-                offsets[i] = t
-                point = THREE * i
-                moved[point] = v[point] + t * normals[point]
-                moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
-                moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
-            else:
-                heights[i] = height
-                sigma[i] = room[scales + lane]
-                largest = max(largest, room[scales + lane])
+            heights[i] = room[sums + lane] / room[weights + lane] if moves else 0.0
+            sigma[i] = room[scales + lane]
+            largest = max(largest, room[scales + lane])
         first = last
     return largest
 
@@ -315,35 +283,13 @@ class RingOperator:
 
     def __call__(self, positions: Floats) -> Step:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
-        heights, sigma, none = np.empty(len(positions)), np.empty(len(positions)), np.empty(0)
-        largest = self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
-        return Step(heights, sigma, largest)
-
-    def advance(
-        self,
-        vertices: Floats,
-        positions: Floats,
-        offsets: Floats,
-        time_step: float,
-        constant: float,
-        moved: Floats,
-    ) -> None:
-        """A whole sweep in one pass, with the same lambda for all: v + t n into ``moved`` (n, 3).
-
-        ``vertices`` are v, ``positions`` the current ones, both (n, 3); ``offsets`` t (n,) are
-        updated.  ``moved`` shares no memory with the others.
-        """
-        none, v = np.empty(0), vertices.reshape(-1)
-        self._run(positions, none, none, v, offsets, time_step, constant, moved.reshape(-1))
-
-    def _run(self, positions: Floats, *outcome: Floats | float) -> float:
+        n = len(positions)
+        heights, sigma = np.empty(n), np.empty(n)
         floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)
-        widths = floor, self.closeness, self.similarity
         rings = self.normals.reshape(-1), self.ring_start, self.ring, self.free
-        flat = positions.reshape(-1)
-        return float(
-            max(over_ranges(_filter_rings, len(positions), flat, *rings, *widths, *outcome))
-        )
+        known = positions.reshape(-1), *rings, floor, self.closeness, self.similarity
+        largest = max(over_ranges(_filter_rings, n, *known, heights, sigma))
+        return Step(heights, sigma, float(largest))
 
 
 # Variants with other weights and scales, and scaled for irregular meshes: a second kernel, so that

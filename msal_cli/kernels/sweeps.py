@@ -12,7 +12,7 @@ import numpy as np
 from msal_cli.arrays import Floats
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
-from msal_cli.kernels.operators import Operator, RingOperator
+from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import quantile_above_zero
 from msal_cli.light_dataclass import dataclass
@@ -126,8 +126,6 @@ def run_sweeps(
         operator that does not compute it.
     trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
     """
-    if isinstance(operator, RingOperator) and schedule.quantile is None and trust is None:
-        return _sweep_in_one_pass(vertices, operator, schedule, iterations, on_sweep)
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
@@ -175,26 +173,3 @@ def _pulls(pace: Pace, sigma: Floats) -> Floats:
     """lambda (n,)."""
     pulls: Floats = np.minimum(pace.constant + pace.per_sigma * sigma, 1.0)
     return pulls
-
-
-def _sweep_in_one_pass(
-    vertices: Floats,
-    operator: RingOperator,
-    schedule: Schedule,
-    iterations: int,
-    on_sweep: OnSweep | None,
-) -> SweepResult:
-    """As ``run_sweeps`` without sigma: each sweep reads one array and writes another."""
-    n = len(vertices)
-    offsets, fidelity = np.zeros(n), np.zeros(n)
-    x, moved = vertices, np.empty_like(vertices)
-    for sweep in range(iterations):
-        pace = schedule(sweep, None)
-        if sweep == 0 and pace.constant:
-            fidelity.fill(pace.constant)
-        operator.advance(vertices, x, offsets, pace.time_step, pace.constant, moved)
-        spare = np.empty_like(vertices) if sweep == 0 and iterations > 1 else x
-        x, moved = moved, spare
-        if on_sweep is not None:
-            on_sweep(sweep + 1, iterations)
-    return SweepResult(x if iterations else vertices.copy(), fidelity)
