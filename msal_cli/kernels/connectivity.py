@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Ints, Longs
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
@@ -70,18 +71,15 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
         is_closed = True
         for at in range(row, end):
             f = np.uint64(incident[at])
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            # Without branches: which corner of a face a vertex is cannot be predicted.
-            after = b if a == i else (c if b == i else a)
+            after, _ = vec.after_and_before(faces, f, i)
             ring[at] = after
             is_closed &= mark[np.uint64(after)] != i
             mark[np.uint64(after)] = i
         for at in range(row, end):
             f = np.uint64(incident[at])
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            before = np.uint64(c if a == i else (a if b == i else b))
-            is_closed &= mark[before] == i
-            mark[before] = -2 - i
+            _, before = vec.after_and_before(faces, f, i)
+            is_closed &= mark[np.uint64(before)] == i
+            mark[np.uint64(before)] = -2 - i
         opened[i] = not is_closed
 
 
@@ -93,10 +91,7 @@ def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
     """
     filled = row
     for at in range(face_start[i], face_start[i + 1]):
-        f = incident[at]
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        after = b if a == i else (c if b == i else a)
-        before = c if a == i else (a if b == i else b)
+        after, before = vec.after_and_before(faces, incident[at], i)
         # Positions only grow, so a slot at or above the row's start belongs to this row.
         for side in range(2):
             k = after if side == 0 else before
@@ -267,34 +262,6 @@ def side_circles(faces: Ints, links: Connectivity) -> NDArray[np.uint32]:
     return following
 
 
-@compiled
-def _open_neighbours(faces, face_start, incident, boundary, row_start, row):
-    """The neighbours of each boundary vertex along boundary edges."""
-    n = len(boundary)
-    stamp = np.full(n, -1, dtype=np.int32)
-    times = np.empty(n, dtype=np.int32)
-    total = 0
-    for i in range(n):
-        if boundary[i]:
-            for at in range(face_start[i], face_start[i + 1]):
-                for corner in range(3):
-                    k = faces[incident[at], corner]
-                    if stamp[k] != i:
-                        stamp[k] = i
-                        times[k] = 0
-                    times[k] += 1
-            times[i] = 0
-            # The second pass takes them in the order in which the faces name them.
-            for at in range(face_start[i], face_start[i + 1]):
-                for corner in range(3):
-                    k = faces[incident[at], corner]
-                    if times[k] == 1:
-                        times[k] = 0
-                        row[total] = k
-                        total += 1
-        row_start[i + 1] = total
-
-
 def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
     """The neighbours of each vertex along boundary edges, in CSR form.
 
@@ -306,10 +273,15 @@ def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
     -------
     row_start, row : (n + 1,) and (2 x boundary edges,), like a one-ring; empty for inner vertices.
     """
+    corners, following = faces.reshape(-1), side_circles(faces, links)
+    # The side of a boundary edge is linked to itself.
+    starts = np.flatnonzero(following == np.arange(len(following), dtype=np.uint32))
+    ends = starts + np.where(starts % 3 == 2, -2, 1)
+    here, there = np.concatenate([starts, ends]), np.concatenate([ends, starts])
     row_start = np.zeros(len(links.boundary) + 1, dtype=np.int32)
-    row = np.empty(2 * links.boundary_edges, dtype=np.int32)
-    _open_neighbours(faces, *links.incidence, links.boundary, row_start, row)
-    return row_start, row
+    np.cumsum(np.bincount(corners[here], minlength=len(links.boundary)), out=row_start[1:])
+    # In the order in which the faces name them.
+    return row_start, corners[there[np.lexsort((there, corners[here]))]]
 
 
 def averaging_ring(faces: Ints, links: Connectivity, boundary: str) -> tuple[Ints, Ints]:

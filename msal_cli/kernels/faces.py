@@ -253,11 +253,7 @@ def _flaps(faces, face_start, incident, ring_start, ring, result):
             slot[ring[at]] = at - row
             count[at - row] = 0
         for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            own = 0
-            while faces[f, own] != i:
-                own += 1
-            after, before = faces[f, (own + 1) % 3], faces[f, (own + 2) % 3]
+            after, before = vec.after_and_before(faces, incident[at], i)
             for k, opposite in ((after, before), (before, after)):
                 s = slot[k]
                 if count[s] < 2:

@@ -16,9 +16,6 @@ from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, thread
 from msal_cli.kernels.vectors import arctangents
 from msal_cli.kernels.welding import first_alike, number_groups, used_vertices, weld
 
-MAX_PARTS = 8
-"""Largest number of parts of the vertices whose normals are summed in parallel."""
-
 POWERS = 2048
 """Number of values of the exponent bits of a float64."""
 
@@ -72,55 +69,36 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):
-    """Add each face's normal and weight to its corners; count the faces without a normal.
+def _normal_sums(vertices, faces, by_area, sums, weights):
+    """Add each face's normal and weight to its corners; returns the number of faces without a
+    normal.
 
-    Part k of ``parts`` writes only to its share of the vertices, and reads all faces: each vertex
-    sums its faces in their order, whatever the number of parts.  Faces are processed in blocks, so
-    that roots and quotients become vector code.
+    Faces are processed in blocks, so that roots and quotients become vector code.
     """
-    n = len(vertices)
-    chosen = np.empty(BLOCK_FACES, dtype=np.int64)
     x, y, z = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
     longest, weight = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
-    for part in range(start, stop):
-        low, high = n * part // parts, n * (part + 1) // parts
-        lowest, highest = np.uint64(low), np.uint64(high)
-        without = 0
-        for first in range(0, len(faces), BLOCK_FACES):
-            count = 0
-            for f in range(first, min(first + BLOCK_FACES, len(faces))):
-                chosen[count] = f
-                count += (
-                    low <= faces[f, 0] < high
-                    or low <= faces[f, 1] < high
-                    or low <= faces[f, 2] < high
-                )
-            for at in range(count):
-                f = chosen[at]
-                a, b, c = vec.load_corners(faces, f)
-                u, w, (x[at], y[at], z[at]) = vec.edges_and_normal(vertices, a, b, c)
-                longest[at] = vec.longest_square(u, w)
-            for at in range(count):
-                length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
-                has_normal = length > DEGENERATE * longest[at]
-                scale = 1.0 if by_area else length
-                scale = scale if has_normal else np.inf
-                x[at] /= scale
-                y[at] /= scale
-                z[at] /= scale
-                weight[at] = (length if by_area else 1.0) if has_normal else 0.0
-            for at in range(count):
-                f = chosen[at]
-                for corner in range(3):
-                    i = np.uint64(faces[f, corner])
-                    if lowest <= i < highest:
-                        sums[i, 0] += x[at]
-                        sums[i, 1] += y[at]
-                        sums[i, 2] += z[at]
-                        weights[i] += weight[at]
-                without += weight[at] == 0.0 and low <= faces[f, 0] < high
-        flat[part] = without
+    without = 0
+    for first in range(0, len(faces), BLOCK_FACES):
+        count = min(BLOCK_FACES, len(faces) - first)
+        for at in range(count):
+            a, b, c = vec.load_corners(faces, first + at)
+            u, w, (x[at], y[at], z[at]) = vec.edges_and_normal(vertices, a, b, c)
+            longest[at] = vec.longest_square(u, w)
+        for at in range(count):
+            length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
+            has_normal = length > DEGENERATE * longest[at]
+            scale = 1.0 if by_area else length
+            scale = scale if has_normal else np.inf
+            x[at] /= scale
+            y[at] /= scale
+            z[at] /= scale
+            weight[at] = (length if by_area else 1.0) if has_normal else 0.0
+        for at in range(count):
+            for i in vec.load_corners(faces, first + at):
+                vec.store(sums, i, vec.add(vec.load(sums, i), (x[at], y[at], z[at])))
+                weights[i] += weight[at]
+            without += weight[at] == 0.0
+    return without
 
 
 @compiled
@@ -140,18 +118,14 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
     """Unit vertex normals (n, 3), see ``vertex_normals``, and the number of degenerate faces."""
     n = len(vertices)
     sums, weights = np.zeros((n, 3)), np.zeros(n)
-    # Each part reads all faces.
-    parts = max(1, min(threads(), n // MIN_RANGE, MAX_PARTS))
-    flat = np.zeros(parts, dtype=np.int64)
     by_area = weighting == "area"
-    results = sums, weights, flat
-    over_ranges(_normal_sums, parts, parts, vertices, faces, by_area, *results, smallest=1)
+    without = _normal_sums(vertices, faces, by_area, sums, weights)
     over_ranges(_unit_sums, n, sums, weights)
     if not by_area:
         vanished = weights < 0.0
         if vanished.any():
             sums[vanished] = vertex_normals(vertices, faces, "area")[vanished]
-    return sums, int(flat.sum())
+    return sums, int(without)
 
 
 def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
@@ -271,19 +245,6 @@ def count_parallel(some, columns, least, counts):
         for k in range(columns.shape[1]):
             count += abs(x * columns[0, k] + y * columns[1, k] + z * columns[2, k]) > least
         counts[i] = count
-
-
-@compiled
-def list_edge_lengths(count, vertices, ring_start, ring, lengths):
-    """Fill ``lengths`` with those of the edges from the first ``count`` vertices to vertices of
-    higher number; returns how many there are."""
-    filled = 0
-    for i in range(count):
-        for at in range(ring_start[i], ring_start[i + 1]):
-            if ring[at] > i:
-                lengths[filled] = vec.norm(vec.offset(vertices, ring[at], i))
-                filled += 1
-    return filled
 
 
 @compiled

@@ -11,22 +11,17 @@ import numpy as np
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
-from msal_cli.kernels.text import read_integer, skip_line
+from msal_cli.kernels.text import read_integer, read_short_integer, skip_line
 
-WHOLE = 0
-"""All of the text is read."""
-FULL = 1
-"""An output array is full; call again with larger ones."""
-BAD_NUMBER = 2
-"""A word that must be a number is not."""
-FEW_NUMBERS = 3
-"""A position or a normal has fewer than three numbers."""
-BAD_CORNER = 4
-"""A corner of a face is not v, v/vt, v//vn or v/vt/vn."""
-BAD_INDEX = 5
-"""A face names vertex 0 or one before the first."""
-NO_CORNERS = 6
-"""A face has nothing after its keyword."""
+(
+    WHOLE,  # all of the text is read
+    FULL,  # an output array is full; call again with larger ones
+    BAD_NUMBER,  # a word that must be a number is not
+    FEW_NUMBERS,  # a position or a normal has fewer than three numbers
+    BAD_CORNER,  # a corner of a face is not v, v/vt, v//vn or v/vt/vn
+    BAD_INDEX,  # a face names vertex 0 or one before the first
+    NO_CORNERS,  # a face has nothing after its keyword
+) = range(7)
 
 (
     AT,  # first byte not yet read; with an error, the statement that is wrong
@@ -337,29 +332,18 @@ def scan(
             while True:
                 # A short path for corners v, the only ones in many files.
                 if at + 1 < len(buf) and buf[at] == 32 and n_corners < len(corners):
-                    number = np.int64(0)
-                    end = at + 1
-                    while end < len(buf):
-                        digit = np.int64(buf[end]) - 48
-                        if digit < 0 or digit > 9:
-                            break
-                        number = number * 10 + digit
-                        end += 1
-                    # Ten digits at most, so that nothing has overflowed.
-                    if number > 0 and end - at <= 11 and end < len(buf) and buf[end] in (32, 10):
+                    number, digits = read_short_integer(buf, at + 1)
+                    if number > 0:
                         largest = max(largest, number - 1)
-                        corners[n_corners] = _resolve_index(number, n_vertices)
+                        corners[n_corners] = number - 1
                         if len(corner_normals):
                             corner_normals[n_corners] = -1
                         n_corners += 1
-                        at = end
+                        at += 1 + digits
                         continue
-                if at + 1 < len(buf) and buf[at] == 32 and 48 <= buf[at + 1] <= 57:
-                    at += 1
-                else:
-                    at = skip_blanks(buf, at)
-                    if _is_statement_end(buf, at):
-                        break
+                at = skip_blanks(buf, at)
+                if _is_statement_end(buf, at):
+                    break
                 if n_corners == len(corners):
                     result = FULL
                     break

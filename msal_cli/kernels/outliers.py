@@ -122,15 +122,6 @@ def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements)
 
 
 @compiled
-def _around(i, faces, face_start, incident, after, before):
-    """The vertices that follow vertex i in its faces, and those that precede it."""
-    for k in range(face_start[i + 1] - face_start[i]):
-        a, b, c = vec.load(faces, incident[face_start[i] + k])
-        after[k] = b if a == i else (c if b == i else a)
-        before[k] = c if a == i else (a if b == i else b)
-
-
-@compiled
 def _circle(i, n, faces, face_start, incident, after, before, following, outer):
     """For each of the n faces around vertex i the index of the next one, and the face across the
     edge opposite to i, or -1.  Returns whether the faces form a closed fan."""
@@ -323,7 +314,9 @@ def _judge(
         n = face_start[i + 1] - face_start[i]
         if n < 3 or n > MAX_FACES:
             continue
-        _around(i, faces, face_start, incident, after, before)
+        for k in range(n):
+            f = incident[face_start[i] + k]
+            after[k], before[k] = vec.after_and_before(faces, f, i)
         # The local edge length, and the mean of the neighbours; rough ones count little.
         middle = vec.ORIGIN
         size = total = 0.0

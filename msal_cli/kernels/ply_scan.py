@@ -10,30 +10,26 @@ compiled code does not check bounds.  Offsets are bytes from the start of the fi
 import numpy as np
 
 from msal_cli.kernels.library import compiled
-from msal_cli.kernels.numbers import (
-    EXACT,
-    count_digits,
-    load_eight,
-    parse_digits,
-    read_number,
-    read_plain,
+from msal_cli.kernels.numbers import EXACT, read_number, read_plain
+from msal_cli.kernels.text import (
+    copy_bytes,
+    is_line_end,
+    is_token_end,
+    parse_integer,
+    read_short_integer,
+    skip_blanks,
+    skip_token,
 )
-from msal_cli.kernels.text import is_line_end, is_token_end, parse_integer, skip_blanks, skip_token
 
-WHOLE = 0
-"""All records are there."""
-CUT = 1
-"""The data end within, or before, a record."""
-BAD_COUNT = 2
-"""A list's count is negative or, in ascii, not an integer."""
-TOO_FEW = 3
-"""An ascii line ends before all values of its record."""
-TOO_MANY = 4
-"""An ascii line continues after the last value of its record."""
-ODD = 5
-"""The next ascii record is not one for a fast pass; ``walk_text`` says what is wrong."""
-FULL = 6
-"""There is no room for the items of the next record."""
+(
+    WHOLE,  # all records are there
+    CUT,  # the data end within, or before, a record
+    BAD_COUNT,  # a list's count is negative or, in ascii, not an integer
+    TOO_FEW,  # an ascii line ends before all values of its record
+    TOO_MANY,  # an ascii line continues after the last value of its record
+    ODD,  # the next ascii record is not one for a fast pass; ``walk_text`` says what is wrong
+    FULL,  # there is no room for the items of the next record
+) = range(7)
 
 
 @compiled
@@ -140,22 +136,6 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
 
 
 @compiled
-def _short_number(data, at):
-    """The integer of at most nine digits at ``at``, and its digits; 0 for other tokens."""
-    word = load_eight(data, at)
-    digits = count_digits(word)
-    if digits == 0:
-        return 0, 0
-    value = parse_digits(word, digits)
-    if digits == 8 and at + 8 < len(data) and 48 <= data[np.uint64(at + 8)] <= 57:
-        value = 10 * value + np.int64(data[np.uint64(at + 8)]) - 48
-        digits = 9
-    if not is_token_end(data, at + digits):
-        return 0, 0
-    return value, digits
-
-
-@compiled
 def read_scalars(data, at, start, stop, columns, groups, values, first_at, decimals):
     """Read the ascii records ``start`` to ``stop`` of scalars from byte ``at`` on, one to a line.
 
@@ -223,7 +203,7 @@ def read_lists(data, at, start, stop, is_list, wanted, items, n_items, lengths):
             length = 0
             if is_list[p]:
                 at = skip_blanks(data, at)
-                length, digits = _short_number(data, at)
+                length, digits = read_short_integer(data, at)
                 if digits == 0:
                     return record, first_item, last, ODD
                 at += digits
@@ -232,7 +212,7 @@ def read_lists(data, at, start, stop, is_list, wanted, items, n_items, lengths):
                     return record, first_item, last, FULL
                 for k in range(n_items, n_items + length):
                     at = skip_blanks(data, at)
-                    value, digits = _short_number(data, at)
+                    value, digits = read_short_integer(data, at)
                     if digits == 0:
                         return record, first_item, last, ODD
                     items[k] = value
@@ -280,10 +260,7 @@ def gather(data, starts, sizes, packed):
     """Concatenate the pieces ``data[starts[i] : starts[i] + sizes[i]]`` into ``packed``."""
     k = 0
     for i in range(len(starts)):
-        at = starts[i]
-        for j in range(sizes[i]):
-            packed[k + j] = data[at + j]
-        k += sizes[i]
+        k = copy_bytes(data, starts[i], starts[i] + sizes[i], packed, k)
 
 
 @compiled
@@ -291,9 +268,7 @@ def scatter(data, starts, sizes, packed):
     """The reverse of ``gather``: copy packed pieces to their positions in ``data``."""
     k = 0
     for i in range(len(starts)):
-        at = starts[i]
-        for j in range(sizes[i]):
-            data[at + j] = packed[k + j]
+        copy_bytes(packed, k, k + sizes[i], data, starts[i])
         k += sizes[i]
 
 

@@ -59,31 +59,22 @@ def _to_bands(start, stop, levels, powers):
 
 
 @compiled
-def _average(start, stop, ring_start, ring, powers, averages):
-    """Means over closed one-rings of the five powers of each vertex, which are contiguous.
+def _load_five(powers, i):
+    """The powers of a vertex; named numbers stay in registers."""
+    return powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
 
-    Five named sums stay in registers, while a loop over the bands would use memory; unsigned
-    indices need no test for negative ones.
-    """
-    one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-    five = np.uint64(5)
+
+@compiled
+def _average(start, stop, ring_start, ring, powers, averages):
+    """Means over closed one-rings of the five powers of each vertex, which are contiguous."""
     for i in range(start, stop):
-        at = np.uint64(i) * five
-        a, b, c = powers[at], powers[at + one], powers[at + two]
-        d, e = powers[at + three], powers[at + four]
-        for place in range(ring_start[i], ring_start[i + 1]):
-            k = np.uint64(ring[place]) * five
-            a += powers[k]
-            b += powers[k + one]
-            c += powers[k + two]
-            d += powers[k + three]
-            e += powers[k + four]
-        weight = 1.0 / (ring_start[i + 1] - ring_start[i] + 1)
-        averages[at] = a * weight
-        averages[at + one] = b * weight
-        averages[at + two] = c * weight
-        averages[at + three] = d * weight
-        averages[at + four] = e * weight
+        a, b, c, d, e = _load_five(powers, np.uint64(i))
+        for at in range(ring_start[i], ring_start[i + 1]):
+            p, q, r, s, t = _load_five(powers, np.uint64(ring[at]))
+            a, b, c, d, e = a + p, b + q, c + r, d + s, e + t
+        share = 1.0 / (ring_start[i + 1] - ring_start[i] + 1)
+        averages[i, 0], averages[i, 1], averages[i, 2] = a * share, b * share, c * share
+        averages[i, 3], averages[i, 4] = d * share, e * share
 
 
 @compiled
@@ -146,8 +137,7 @@ def restoration(
     def average(passes: int) -> None:
         nonlocal powers, averages
         for _ in range(passes):
-            flat = powers.reshape(-1), averages.reshape(-1)
-            over_ranges(_average, n, ring_start, ring, *flat)
+            over_ranges(_average, n, ring_start, ring, powers, averages)
             powers, averages = averages, powers
 
     def alone(caution: float) -> Floats:

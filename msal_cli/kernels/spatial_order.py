@@ -63,18 +63,8 @@ def _gather(start, stop, rows, order, first, last, ordered):
     for at in range(start, stop):
         i = np.int64(np.uint64(order[at]) & LOW_BITS)
         if first <= i < last:
-            for axis in range(3):
-                ordered[at, axis] = rows[i, axis]
-
-
-@compiled
-def _renumber(start, stop, faces, ranks, first, last, renumbered):
-    """Replace the corners of faces by their ranks, those from ``first`` to ``last``."""
-    for f in range(start, stop):
-        for k in range(3):
-            i = faces[f, k]
-            if first <= i < last:
-                renumbered[f, k] = ranks[i]
+            for column in range(rows.shape[1]):
+                ordered[at, column] = rows[i, column]
 
 
 def is_random(faces: Ints) -> bool:
@@ -139,15 +129,13 @@ def order_vertices(
     ranks = np.empty(n, dtype=np.int32)
     for block in blocks(n, ranks.itemsize):
         over_ranges(_rank, n, keys, *block, ranks)
-    renumbered = np.empty_like(faces)
-    for block in blocks(n, ranks.itemsize):
-        over_ranges(_renumber, len(faces), faces, ranks, *block, renumbered)
+    renumbered = gather_rows(ranks[:, None], faces.reshape(-1)).reshape(-1, 3)
     return gather_rows(vertices, keys), renumbered, ranks
 
 
 def gather_rows(rows: NDArray[Any], order: NDArray[np.uint64] | Ints) -> NDArray[Any]:
-    """The rows (n, 3) at the indices ``order`` (m,), which are its low halves if it is 64-bit."""
-    ordered = np.empty((len(order), 3), dtype=rows.dtype)
-    for block in blocks(len(rows), rows.itemsize * 3):
+    """The rows (n, k) at the indices ``order`` (m,), which are its low halves if it is 64-bit."""
+    ordered = np.empty((len(order), rows.shape[1]), dtype=rows.dtype)
+    for block in blocks(len(rows), rows.itemsize * rows.shape[1]):
         over_ranges(_gather, len(order), rows, order, *block, ordered)
     return ordered

@@ -17,18 +17,14 @@ from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.text import is_line_end, is_token_end, skip_line, skip_token
 
-WHOLE = 0
-"""All of the text is read."""
-FULL = 1
-"""The output arrays are full; call again with larger ones."""
-CUT = 2
-"""The text ends within a solid."""
-WRONG = 3
-"""A word is not the expected one."""
-BAD_NUMBER = 4
-"""A word that must be a number is not."""
-OUTSIDE = 5
-"""After a solid there is something that is not another solid."""
+(
+    WHOLE,  # all of the text is read
+    FULL,  # the output arrays are full; call again with larger ones
+    CUT,  # the text ends within a solid
+    WRONG,  # a word is not the expected one
+    BAD_NUMBER,  # a word that must be a number is not
+    OUTSIDE,  # after a solid there is something that is not another solid
+) = range(6)
 
 FACET, NORMAL, OUTER, LOOP, VERTEX, ENDLOOP, ENDFACET, SOLID, ENDSOLID = range(9)
 WORDS = ("facet", "normal", "outer", "loop", "vertex", "endloop", "endfacet", "solid", "endsolid")

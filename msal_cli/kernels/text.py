@@ -22,7 +22,9 @@ from msal_cli.kernels.numbers import (
     SHORTEST_SINGLE,
     UNDECIDED,
     count_before,
+    count_digits,
     load_eight,
+    parse_digits,
     read_number,
     store_eight,
     write_number,
@@ -218,6 +220,22 @@ def skip_token(buf, at):
 
 
 @compiled
+def read_short_integer(data, at):
+    """The integer of at most nine digits at ``at``, and its digits; 0 for other tokens."""
+    word = load_eight(data, at)
+    digits = count_digits(word)
+    if digits == 0:
+        return 0, 0
+    value = parse_digits(word, digits)
+    if digits == 8 and at + 8 < len(data) and 48 <= data[np.uint64(at + 8)] <= 57:
+        value = 10 * value + np.int64(data[np.uint64(at + 8)]) - 48
+        digits = 9
+    if not is_token_end(data, at + digits):
+        return 0, 0
+    return value, digits
+
+
+@compiled
 def is_line_end(buf, at):
     """Whether the line ends at ``at``."""
     return at >= len(buf) or buf[np.uint64(at)] == 10 or buf[np.uint64(at)] == 13
@@ -231,35 +249,15 @@ def skip_line(buf, at):
     return at
 
 
-# Tokens replaced inside a text
+# Rows of tokens
 
 
 @compiled
-def _copy(source, start, stop, target, at):
+def copy_bytes(source, start, stop, target, at):
     """Copy source[start:stop] to target at ``at``; returns the end."""
     for k in range(stop - start):
         target[at + k] = source[start + k]
     return at + stop - start
-
-
-@compiled
-def _splice(buf, starts, stops, text, text_stops, out):
-    done = at = text_start = 0
-    for i in range(len(starts)):
-        at = _copy(buf, done, starts[i], out, at)
-        at = _copy(text, text_start, text_stops[i], out, at)
-        text_start = text_stops[i]
-        done = stops[i]
-    _copy(buf, done, len(buf), out, at)
-
-
-def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Longs) -> Bytes:
-    """``buf`` with k tokens replaced by k texts, concatenated in ``text``."""
-    starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
-    size = len(buf) - int((stops - starts).sum()) + (int(text_stops[-1]) if len(text_stops) else 0)
-    out = np.empty(size, dtype=np.uint8)
-    _splice(as_bytes(buf), starts, stops, as_bytes(text), text_stops, out)
-    return out
 
 
 _BLOCK = 1 << 14
@@ -272,17 +270,12 @@ def _format_lines(text, stops, row_stops, prefix, doubled, out):
     start = 0
     token = 0
     for row_stop in row_stops:
-        for k in range(len(prefix)):
-            out[to] = prefix[k]
-            to += 1
+        to = copy_bytes(prefix, 0, len(prefix), out, to)
         while token < row_stop:
-            for copy in range(2 if doubled else 1):
-                for k in range(2 * copy):
-                    out[to + k] = 47
-                to += 2 * copy
-                for k in range(start, stops[token]):
-                    out[to] = text[k]
-                    to += 1
+            to = copy_bytes(text, start, stops[token], out, to)
+            if doubled:
+                out[to] = out[to + 1] = 47
+                to = copy_bytes(text, start, stops[token], out, to + 2)
             start = stops[token]
             token += 1
             out[to] = 32 if token < row_stop else 10
@@ -311,6 +304,17 @@ def format_lines(
     return out[: _format_lines(as_bytes(text), stops, row_stops, as_bytes(fixed), doubled, out)]
 
 
+@compiled
+def _fill_rows(rows, places, text, stops, out):
+    """Copy ``rows`` with a token of ``text`` inserted at each of the ``places``."""
+    done = at = start = 0
+    for i in range(len(places)):
+        at = copy_bytes(rows, done, places[i], out, at)
+        at = copy_bytes(text, start, stops[i], out, at)
+        done, start = places[i], stops[i]
+    copy_bytes(rows, done, len(rows), out, at)
+
+
 def fill_rows(
     pieces: Sequence[bytes], text: Bytes, stops: NDArray[np.int64]
 ) -> Iterator[memoryview]:
@@ -325,8 +329,10 @@ def fill_rows(
         ends = stops[first : first + _BLOCK * len(places)]
         count = len(ends) // len(places)
         at = (len(row) * np.arange(count)[:, None] + places).reshape(-1)
-        tokens = text[begin : ends[-1]]
-        yield splice(as_bytes(row * count), at, at, tokens, ends - begin).data
+        rows, tokens = as_bytes(row * count), as_bytes(text[begin : ends[-1]])
+        out = np.empty(len(rows) + len(tokens), dtype=np.uint8)
+        _fill_rows(rows, at, tokens, ends - begin, out)
+        yield out.data
         begin = int(ends[-1])
 
 
@@ -334,14 +340,12 @@ def fill_rows(
 #
 # A *run* is some consecutive numbers separated by blanks, such as the position of a vertex.
 
-DONE = 0
-"""All runs are processed."""
-DIFFERENT = 1
-"""A byte differs that must be equal."""
-WRONG_VALUE = 2
-"""A number is not the expected one."""
-ASIDE = 3
-"""Python has to write or read one number; the pass continues after it."""
+(
+    DONE,  # all runs are processed
+    DIFFERENT,  # a byte differs that must be equal
+    WRONG_VALUE,  # a number is not the expected one
+    ASIDE,  # Python has to write or read one number; the pass continues after it
+) = range(4)
 
 
 @compiled

@@ -60,6 +60,16 @@ def load_corners(faces, f):
 
 
 @compiled
+def after_and_before(faces, f, i):
+    """The vertices that follow and precede vertex i in face f.
+
+    Without branches, because which corner of a face a vertex is cannot be predicted.
+    """
+    a, b, c = load(faces, f)
+    return (b if a == i else (c if b == i else a)), (c if a == i else (a if b == i else b))
+
+
+@compiled
 def store(x, i, v):
     """Write vector i of ``x``, (n, 3) or flat."""
     if x.ndim == 2:

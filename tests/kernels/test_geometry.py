@@ -9,7 +9,6 @@ from msal_cli.kernels.geometry import (
     LARGEST_ANGLE,
     count_parallel,
     face_normals_and_areas,
-    list_edge_lengths,
     normals_and_flat_faces,
     regroup_normals,
     surface_figures,
@@ -89,10 +88,6 @@ def test_what_is_looked_for_around_vertices_is_what_numpy_finds():
     vertices, faces = torus()
     mesh = prepare_mesh(noisy(vertices, level=0.02), faces).mesh
     x, normals, (starts, ring) = mesh.vertices, mesh.vertex_normals(), mesh.topology.one_ring
-    begins, lengths = np.repeat(np.arange(len(x)), np.diff(starts)), np.empty(starts[50])
-    count = list_edge_lengths(50, x, starts, ring, lengths)
-    expected = np.linalg.norm(x[ring] - x[begins], axis=1)[(begins < ring) & (begins < 50)]
-    assert np.allclose(lengths[:count], expected, rtol=1e-15)
     counts, turned = np.empty(9, dtype=np.int64), np.ascontiguousarray(normals.T)
     count_parallel(normals[:9].copy(), turned, 0.9, counts)
     assert counts.tolist() == (np.abs(normals[:9] @ turned) > 0.9).sum(axis=1).tolist()

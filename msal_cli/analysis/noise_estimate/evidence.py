@@ -45,7 +45,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     take_survey,
 )
 from msal_cli.arrays import Floats, Longs
-from msal_cli.kernels.geometry import list_edge_lengths
+from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.quantiles import median, quantiles
 from msal_cli.light_dataclass import dataclass
 
@@ -467,8 +467,9 @@ def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
     """The share of edges with equal lengths, beyond chance, and quantiles of lengths."""
     starts, ring = mesh.topology.ring_start, mesh.topology.ring
     n = min(len(mesh.vertices), MAX_REPEATED_VERTICES)
-    lengths = np.empty(starts[n])
-    lengths = np.sort(lengths[: list_edge_lengths(n, mesh.vertices, starts, ring, lengths)]) / edge
+    own, other = np.repeat(np.arange(n), np.diff(starts[: n + 1])), ring[: starts[n]]
+    edges = mesh.vertices[own[other > own]], mesh.vertices[other[other > own]]
+    lengths = np.sort(distances(*edges)) / edge
     if len(lengths) < 20:
         return [MISSING] * 6
     spread = quantiles(lengths, (0.05, 0.25, 0.5, 0.75, 0.95))
