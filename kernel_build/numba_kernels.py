@@ -7,7 +7,8 @@ import functools
 import types
 from typing import Any, cast
 
-from msal_cli.kernels.library import Kernel, is_kernel_module
+from kernel_build.sources import is_kernel_module
+from msal_cli.kernels.library import Kernel
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:

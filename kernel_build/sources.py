@@ -11,7 +11,6 @@ import numpy as np
 
 from kernel_build.signatures import kernel_of
 from msal_cli.kernels import library
-from msal_cli.kernels.library import is_kernel_module
 
 
 def check_library() -> None:
@@ -69,3 +68,8 @@ def _plain(value: Any) -> Any:
         # The type counts too: 1, 1.0 and True are compiled differently.
         return type(value).__name__, repr(value)
     return getattr(value, "__name__", type(value).__name__)
+
+
+def is_kernel_module(value: Any) -> bool:
+    """Whether a value is a module of kernels, which kernels call as ``module.function``."""
+    return isinstance(value, types.ModuleType) and value.__name__.startswith("msal_cli.kernels.")

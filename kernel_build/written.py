@@ -9,8 +9,9 @@ import textwrap
 import types
 from typing import Any
 
+from kernel_build.sources import is_kernel_module
 from msal_cli.kernels.lanes import WRITTEN
-from msal_cli.kernels.library import Kernel, is_kernel_module
+from msal_cli.kernels.library import Kernel
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
 

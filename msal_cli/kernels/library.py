@@ -279,8 +279,3 @@ def _structure(names: tuple[str, ...]) -> Any:
     ]
     # Code without a result still clears the memory for one.
     return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
-
-
-def is_kernel_module(value: Any) -> bool:
-    """Whether a value is a module of kernels, which kernels call as ``module.function``."""
-    return isinstance(value, types.ModuleType) and value.__name__.startswith(f"{__package__}.")

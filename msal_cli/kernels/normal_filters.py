@@ -132,12 +132,10 @@ def _repeat(
     passes: int,
     on_pass: Callable[[], object],
 ) -> Floats:
-    given = spare = normals
     for _ in range(passes):
-        # The input must not change; from the third pass on, two arrays alternate.
-        result = np.empty_like(normals) if spare is given else spare
+        result = np.empty_like(normals)
         over_ranges(kernel, len(normals), normals.reshape(-1), *known, result.reshape(-1))
-        normals, spare = result, normals
+        normals = result
         on_pass()
     return normals
 
@@ -370,13 +368,7 @@ def diffused_normals(
     shares = np.empty(len(ring))
     over_ranges(_shares, count, vertices.reshape(-1), corners, areas, *rows, time_step, shares)
     inverse = 0.5 * vec.LOG2_E / max(similarity, MIN_SIMILARITY) ** 2
-    spare = np.empty_like(normals)
-    for _ in range(steps):
-        flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
-        over_ranges(_diffuse, count, *flat)
-        normals, spare = spare, normals
-        on_step()
-    return normals
+    return _repeat(_diffuse, normals, (shares, inverse, *rows), steps, on_step)
 
 
 # The global bilateral filter of face normals: one sparse linear system (Zheng et al. 2011).

@@ -124,18 +124,7 @@ class Operator(Protocol):
 
 @compiled
 def _filter_rings(
-    start,
-    stop,
-    x,
-    normals,
-    ring_start,
-    ring,
-    free,
-    floor,
-    closeness,
-    similarity,
-    heights,
-    sigma,
+    start, stop, x, normals, ring_start, ring, free, floor, closeness, similarity, heights, sigma
 ):
     """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5).
 

@@ -200,16 +200,10 @@ def smooth_by_windowed_sinc(
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     moves = np.zeros((len(coefficients), len(x)))
     before = now = x
-    spare: list[Floats] = []
     for done in range(1, count + 1):
-        after = spare.pop() if spare else np.empty_like(x)
-        twice = 1.0 if done == 1 else 2.0
-        outcome = after, moves
-        over_ranges(
-            _next_polynomial, len(vertices), x, *rows, before, now, twice, weights[done], *outcome
-        )
-        if before is not x:
-            spare.append(before)
+        after = np.empty_like(x)
+        known = x, *rows, before, now, 1.0 if done == 1 else 2.0, weights[done]
+        over_ranges(_next_polynomial, len(vertices), *known, after, moves)
         before, now = now, after
         if on_pass is not None:
             on_pass(done, count)
