@@ -98,8 +98,8 @@ class AddedNoise:
         return ", ".join(f"{name} {value}" for name, value in used.items())
 
     def count_rings(self) -> int:
-        """``rings``, or the kind's default if it is None."""
-        if self.rings is not None:
+        """``rings``, or the kind's default if it is None; 0 if the kind does not use it."""
+        if self.rings is not None and "rings" in KINDS[self.kind]:
             return self.rings
         return 2 if self.kind == "correlated" else 0
 
@@ -135,8 +135,6 @@ def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
         return mesh.vertices + draw.uniform(-amount, amount, (n, 3))
     normals = mesh.vertex_normals()
     heights = draw.standard_normal(n)
-    if noise.kind == "gaussian-normal":
-        return mesh.vertices + (amount * heights)[:, None] * normals
     if noise.kind == "impulsive":
         moved = draw.permutation(n)[: round(noise.fraction * n)]
         result = mesh.vertices.copy()

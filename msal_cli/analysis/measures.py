@@ -354,22 +354,17 @@ def measure_enclosure(ready: PreparedMesh) -> Enclosure:
 
 def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
     """As ``measure_enclosure``, for a mesh whose ``area`` and signed ``volume`` are known."""
-    found = _enclosure(mesh, defects, area, volume)
-    return replace(found, n_turned=0) if defects.is_two_sided else found
+    n_parts, inward, n_turned = defects.components, None, 0
+    if not defects.volume_objection:
+        if 1 < n_parts <= MAX_PARTS:
+            inward, n_turned = _inward_parts(mesh)
+        elif is_negative(volume, area):
+            inward, n_turned = np.ones(len(mesh.faces), dtype=bool), n_parts
+    return Enclosure(inward, 0 if defects.is_two_sided else n_turned, n_parts)
 
 
-def _enclosure(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
-    n_parts = defects.components
-    if defects.volume_objection:
-        return Enclosure(None, 0, n_parts)
-    if 1 < n_parts <= MAX_PARTS:
-        return _enclosure_by_part(mesh)
-    if is_negative(volume, area):
-        return Enclosure(np.ones(len(mesh.faces), dtype=bool), n_parts, n_parts)
-    return Enclosure(None, 0, n_parts)
-
-
-def _enclosure_by_part(mesh: Mesh) -> Enclosure:
+def _inward_parts(mesh: Mesh) -> tuple[Flags | None, int]:
+    """``Enclosure.inward`` of a mesh of several components, and how many of them are inside out."""
     first = mesh.faces[:, 0]
     labels = component_labels(len(mesh.vertices), mesh.faces)
     numbers, part_of_face = np.unique(labels[first], return_inverse=True)
@@ -381,7 +376,7 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     volumes = np.bincount(part_of_face, face_areas * heights, n_parts) / 3.0
     is_turned = np.array([is_negative(*figures) for figures in zip(volumes, areas, strict=True)])
     if not is_turned.any():
-        return Enclosure(None, 0, n_parts)
+        return None, 0
     used = np.flatnonzero(mesh.topology.has_ring)
     part_of_vertex = np.searchsorted(numbers, labels[used])
     low, high = np.full((n_parts, 3), np.inf), np.full((n_parts, 3), -np.inf)
@@ -393,7 +388,7 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     outermost = np.where(is_within, (high - low).prod(axis=1)[None], -1.0).argmax(axis=1)
     is_turned = is_turned[outermost]
     n_turned = int(np.count_nonzero(is_turned))
-    return Enclosure(is_turned[part_of_face] if n_turned else None, n_turned, n_parts)
+    return is_turned[part_of_face] if n_turned else None, n_turned
 
 
 # Damage

@@ -47,8 +47,6 @@ def test_chi_square(share):
 )
 def test_unsure_is_where_neither_kind_is_probable(clean, probability, is_unsure):
     assert read_as(clean, probability).is_unsure == is_unsure
-    both = (Reading(NOISE, 0.02, 0.5), Reading(NOISE, 0.05, 0.45), Reading(TEXTURE, 0.0, 0.05))
-    assert not dataclasses.replace(clean, readings=both).is_unsure
 
 
 def test_an_assumption_decides_only_what_is_unsure(clean):

@@ -237,9 +237,12 @@ def estimate_regions(mesh: Mesh) -> Floats:
 
     Vertices that no face uses have 0.
     """
-    result = characterize(mesh)
-    nearest = find_nearest(mesh.vertices, result.middles)
-    return np.where(mesh.topology.has_ring, result.regions[nearest], 0.0)
+    estimate = characterize(mesh)
+    levels: Floats | float = estimate.level.file_units
+    if estimate.regions is not None:
+        middles, regions = estimate.regions
+        levels = regions[find_nearest(mesh.vertices, middles)]
+    return np.where(mesh.topology.has_ring, levels, 0.0)
 
 
 @cached_by_mesh
@@ -379,8 +382,8 @@ class Estimate:
     """The noise of a mesh, and its level by region."""
 
     level: NoiseLevel  # the noise
-    middles: Floats  # (r, 3) centres of the regions
-    regions: Floats  # (r,) levels of the regions, file units
+    # centres (r, 3) of the regions of uneven noise, and their levels (r,), file units
+    regions: tuple[Floats, Floats] | None = None
 
 
 @cached_by_mesh
@@ -468,8 +471,8 @@ def characterize(mesh: Mesh) -> Estimate:
             highest=max(highest, level),
             regions=len(regions),
         )
-        return Estimate(noise, middles, regions)
-    return Estimate(noise, white.middles, np.full(len(white.middles), noise.file_units))
+        return Estimate(noise, (middles, regions))
+    return Estimate(noise)
 
 
 def _is_in_pieces(mesh: Mesh) -> bool:
@@ -596,7 +599,7 @@ def _without_noise(
         character=NoiseCharacter("none", confidence=probability, basis=basis),
         readings=_order_readings(highest, 1.0 - probability),
     )
-    return Estimate(noise, white.middles, np.zeros(len(white.middles)))
+    return Estimate(noise)
 
 
 def _least_probabilities(evidence: Evidence) -> dict[str, float]:

@@ -86,10 +86,8 @@ class AxisEvidence:
     """How well noise along an axis explains residuals and displacements."""
 
     axis: Floats  # (3,) unit vector
-    # misfit, without: mean error of the logarithms of variances if the noise is along the axis, and
-    # if it is along the normals
-    misfit: float
-    without: float
+    misfit: float  # mean error of the logarithms of variances if the noise is along the axis
+    gain: float  # how much smaller it is than if the noise is along the normals
     slide: float  # standard deviation of tangential displacements along it, mean edges
     contrast: float  # slide over the same across the axis
     level: float  # standard deviation along the axis, mean edges, if the noise is white
@@ -129,11 +127,6 @@ class AxisEvidence:
             return self.level
         return min(max(self.level, MIN_OF_SLIDE * self.excess), self.excess)
 
-    @property
-    def gain(self) -> float:
-        """How much smaller the misfit with the axis is than that with the normals."""
-        return self.without - self.misfit
-
 
 @dataclass(frozen=True, eq=False)
 class Groups:
@@ -146,11 +139,13 @@ class Groups:
     squares: Floats  # (g, 3, 3) mean outer products of the normals
     counts: Floats  # (g,) number of places
 
-    def misfit(self, axis: Floats | None) -> float:
-        """Mean error of the logarithms of the levels for noise along an axis, or the normals."""
-        if axis is None:
-            return self.misfit_of(np.ones(len(self.levels)))
+    def misfit(self, axis: Floats) -> float:
+        """Mean error of the logarithms of the levels for noise along an axis."""
         return self.misfit_of(self.cosines(axis[None])[0])
+
+    def gain(self, axis: Floats) -> float:
+        """How much smaller that error is than for noise along the normals."""
+        return self.misfit_of(np.ones(len(self.levels))) - self.misfit(axis)
 
     def cosines(self, axes: Floats) -> Floats:
         """Mean squared cosines (k, g) of the groups' normals to axes (k, 3)."""
@@ -207,10 +202,9 @@ def group_places(survey: Survey) -> Groups | None:
 
 def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
     """The axis with the smallest misfit; None if none is promising."""
-    without = groups.misfit(None)
     best, misfit = None, math.inf
     for candidate in (_main_axis(groups), find_main_offset(survey.offsets)):
-        if groups.misfit(candidate) > without + HOPELESS:
+        if groups.gain(candidate) < -HOPELESS:
             continue
         axis, error = _refine(candidate, groups)
         if error < misfit:
@@ -230,7 +224,7 @@ def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
         # The sign makes the largest coordinate positive.
         axis=axis if axis[np.abs(axis).argmax()] > 0.0 else -axis,
         misfit=groups.misfit(axis),
-        without=groups.misfit(None),
+        gain=groups.gain(axis),
         slide=slide,
         contrast=slide / across if across > 0.0 else (math.inf if slide > 0.0 else 0.0),
         level=level,
@@ -427,7 +421,6 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
     best = int(np.argmax(steps))
     step, axis = steps[best], frame[best]
     squares = (survey.normals @ axis) ** 2
-    gain = 0.0 if groups is None else groups.misfit(None) - groups.misfit(axis)
     return StepEvidence(
         n_axes=sum(step > 0.0 for step in steps),
         axis=axis,
@@ -435,7 +428,7 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         level=step / math.sqrt(12.0),
         facing_level=step / math.sqrt(12.0),
         is_turned=is_turned,
-        along_gain=gain,
+        along_gain=0.0 if groups is None else groups.gain(axis),
         roughness=_roughness(survey, THREE, squares, squares, step),
     )
 

@@ -15,6 +15,7 @@ where noise has a floor (``SHARP``).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -445,6 +446,11 @@ def _logs(values: Floats, base: float = 1.0) -> list[float]:
     return [_log(float(value), base) for value in values]
 
 
+def _quantiles(values: Floats, shares: Sequence[float]) -> Floats:
+    """The quantiles (s,); NaN without values, which becomes ``MISSING``."""
+    return quantiles(values, shares) if len(values) else np.full(len(shares), np.nan)
+
+
 def _size_numbers(mesh: Mesh, survey: Survey, white: WhiteEstimate, base: float) -> list[float]:
     topology = mesh.topology
     n_used = int(np.count_nonzero(topology.has_ring))
@@ -490,13 +496,12 @@ def _white_numbers(white: WhiteEstimate, base: float) -> list[float]:
         float(white.is_negligible),
     ]
     for fit in range(4):
-        variances = fits.variances[:, fit][fits.freedoms[:, fit] > 0]
-        if not len(variances):
-            numbers += [MISSING] * (len(SHARES) + 2)
-            continue
-        deviations = np.sqrt(variances) / white.edge
-        numbers += _logs(quantiles(deviations, SHARES), base)
-        numbers += [float((deviations < 1e-6).mean()), float((deviations < 1e-3).mean())]
+        deviations = np.sqrt(fits.variances[:, fit][fits.freedoms[:, fit] > 0]) / white.edge
+        numbers += _logs(_quantiles(deviations, SHARES), base)
+        numbers += [
+            float((deviations < bound).mean()) if len(deviations) else MISSING
+            for bound in (1e-6, 1e-3)
+        ]
     ratios = fits.ratios[fits.ratios >= 0.0]
     return numbers + (
         quantiles(ratios, (0.5, 0.9, 0.97, 0.99)).tolist() if len(ratios) else [0.0] * 4
@@ -508,18 +513,15 @@ def _survey_numbers(survey: Survey, base: float) -> list[float]:
     for fit in range(5):
         variances = survey.variances[:, fit]
         variances = variances[np.isfinite(variances)]
-        if not len(variances):
-            numbers += [MISSING] * len(SHARES)
-            continue
-        numbers += _logs(np.sqrt(quantiles(variances, SHARES)), base)
+        numbers += _logs(np.sqrt(_quantiles(variances, SHARES)), base)
     logs = 0.5 * np.log(np.maximum(survey.variances, TINY * TINY))
     widest = logs[:, SIX]
     known = np.isfinite(logs).all(axis=1)
     flat = known & (widest <= (quantiles(widest[known], (0.3,))[0] if known.any() else 0.0))
     for wide, narrow in PAIRS:
-        ratios = (logs[:, wide] - logs[:, narrow])[np.isfinite(logs[:, wide] - logs[:, narrow])]
-        numbers += quantiles(ratios, (0.1, 0.5, 0.9)).tolist() if len(ratios) else [MISSING] * 3
-        some = (logs[:, wide] - logs[:, narrow])[flat]
+        ratios = logs[:, wide] - logs[:, narrow]
+        numbers += _quantiles(ratios[np.isfinite(ratios)], (0.1, 0.5, 0.9)).tolist()
+        some = ratios[flat]
         numbers += [median(some), float(some.std())] if len(some) else [MISSING] * 2
     return numbers
 

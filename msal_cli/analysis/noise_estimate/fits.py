@@ -271,7 +271,6 @@ class WhiteEstimate:
     tail: float  # share of the vertices whose residual is in the tail
     is_negligible: bool
     places: Longs  # (c,) vertices around which the fits are
-    middles: Floats  # (r, 3) centres of the regions
     regions: Floats  # (r,) levels of the regions, file units
     far: Flags  # (c,) whether the residual of the vertex is in the tail
     fits: Fits  # residuals of the fits at the places
@@ -323,7 +322,6 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
         tail=tail,
         is_negligible=is_small and not are_spikes(rms / edge, tail),
         places=places,
-        middles=mesh.vertices[places[middles]],
         regions=regions,
         far=far,
         fits=fits,

@@ -115,27 +115,23 @@ class NoiseLevel:
     highest: float
     regions: int  # how many regions were compared
     character: NoiseCharacter = NO_CHARACTER
-    readings: tuple[Reading, ...] = ()  # explanations of the roughness, most probable first
+    # explanations of the roughness, each kind at most once, most probable first
+    readings: tuple[Reading, ...] = ()
 
     @property
     def is_unsure(self) -> bool:
         """Whether it may be noise or texture: neither has ``MIN_PROBABILITY``."""
-        return bool(self.readings) and all(
-            sum(reading.probability for reading in self.readings if reading.kind == kind)
-            < MIN_PROBABILITY
-            for kind in (NOISE, TEXTURE)
-        )
+        probabilities = [reading.probability for reading in self.readings]
+        return max(probabilities, default=1.0) < MIN_PROBABILITY
 
     def assume(self, kind: str | None, edge: float) -> NoiseLevel:
-        """The noise given that only readings of this ``kind`` are true: with ``NOISE`` the highest
-        level of its readings, with ``TEXTURE`` the lowest.  Unchanged if it is not unsure.
+        """The noise given that the reading of this ``kind`` is true; unchanged if it is not unsure.
 
         ``edge`` is the mean edge length, file units.
         """
-        levels = [reading.level for reading in self.readings if reading.kind == kind]
-        if kind is None or not levels or not self.is_unsure:
+        if kind is None or not self.is_unsure:
             return self
-        level = max(levels) if kind == NOISE else min(levels)
+        level = next(reading.level for reading in self.readings if reading.kind == kind)
         ratio = level / self.mean_edges if self.mean_edges > 0.0 else 1.0
         has_spikes = are_spikes(self.rms_edges, self.tail)
         character = NO_CHARACTER
