@@ -25,7 +25,7 @@ import numpy as np
 
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, lend_estimate
 from msal_cli.arrays import Floats
-from msal_cli.auto import NONE, SECONDS, Choice, OnStep, Wishes, blends
+from msal_cli.auto import NONE, SECONDS, Choice, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import LEARNED, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.noise_model import DRAWN_KINDS
@@ -84,9 +84,7 @@ STRONG = 0.25
 BALANCED = Wishes()
 
 
-def choose_adaptive(
-    mesh: Mesh, on_step: OnStep = lambda done, total: None, wishes: Wishes = BALANCED
-) -> Choice:
+def choose_adaptive(mesh: Mesh, wishes: Wishes = BALANCED) -> Choice:
     """Choose parameters for ``mesh`` within the family of equation (2), or no change.
 
     The choice depends only on the mesh and on ``assume``, ``strength`` and ``keep`` of the
@@ -96,17 +94,11 @@ def choose_adaptive(
     noise = estimate.assume(wishes.assume, edge)
     if noise.is_negligible or not noise.mean_edges:
         what = blends.describe_rest(estimate, noise)
-        choice = blends.choose_least(noise, wishes, what, None)
-    else:
-        assumed = noise.assume(NOISE, edge)
-        choice = _choose_by_risk(mesh, assumed, on_step, noise.is_unsure, wishes)
-    on_step(1, 1)
-    return choice
+        return blends.choose_least(noise, wishes, what, None)
+    return _choose_by_risk(mesh, noise.assume(NOISE, edge), noise.is_unsure, wishes)
 
 
-def _choose_by_risk(
-    mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: bool, wishes: Wishes
-) -> Choice:
+def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wishes) -> Choice:
     """The setting with the smallest estimated error; if it ``is_unsure`` that there is noise, the
     setting and its share with the smallest error in the worse case."""
     case = build_case(mesh, noise)
@@ -123,14 +115,7 @@ def _choose_by_risk(
     if part.mesh is not given:
         lend_estimate(noise, part.mesh)
     model = case.model.on_part(part.numbers)
-    done = total = 0
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        on_step(done, total)
-
-    runs = CandidateRuns(part, model, count, level * edge / part.mesh.mean_edge_length)
+    runs = CandidateRuns(part, model, level * edge / part.mesh.mean_edge_length)
     is_drawn = is_unsure or bool(case.levels) or noise.character.kind in DRAWN_KINDS
     true = runs.result(LEARNED if is_drawn else ROBUST_LEARNED)
     surface = surface_kind(true)
@@ -138,12 +123,11 @@ def _choose_by_risk(
         halves = [0.5 * runs.moves(candidate) for candidate in (ROBUST_LEARNED, LINEAR[0])]
         true = true.with_vertices(part.mesh.vertices + halves[0] + halves[1])
     candidates = _candidates(case, level, noise, is_unsure, is_drawn)
-    total = len(candidates) + 1
     shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
     moves = [runs.moves(candidate) for candidate in candidates]
     if case.levels:
         weights = _weigh_by_level(case, runs, candidates, true)
-        local = case.local if part.numbers is None else case.local[part.numbers]
+        local = case.local[part.numbers]
         moves = [
             np.interp(local, case.levels, column)[:, None] * move
             for column, move in zip(weights.T, moves, strict=True)

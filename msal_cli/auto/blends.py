@@ -187,8 +187,7 @@ def spread_levels(local: Floats) -> tuple[float, ...]:
 def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flags]:
     """For each level the vertices (m,) of a part that are evaluated for it: those whose local
     level, ``local`` (n,) over the whole mesh, is nearest to it."""
-    own = local if part.numbers is None else local[part.numbers]
-    nearest = np.abs(own[:, None] - np.array(levels)).argmin(axis=1)
+    nearest = np.abs(local[part.numbers][:, None] - np.array(levels)).argmin(axis=1)
     return [part.judged & (nearest == level) for level in range(len(levels))]
 
 
@@ -442,13 +441,12 @@ def mix_in_stronger(
     if not stronger:
         return list(members), rows
     part = runs.part
-    numbers = slice(None) if part.numbers is None else part.numbers
-    before = evened[numbers][part.judged]
+    before = evened[part.numbers][part.judged]
     base = np.zeros_like(part.mesh.vertices)
     for k in np.flatnonzero(rows.any(axis=0)).tolist():
         weight = rows[0, k]
         if case.levels:
-            weight = np.interp(case.local[numbers], case.levels, rows[:, k])[:, None]
+            weight = np.interp(case.local[part.numbers], case.levels, rows[:, k])[:, None]
         base += weight * runs.moves(members[k])
     moves = [runs.moves(candidate)[part.judged] + before for candidate in stronger]
     k, share = strengthen(base[part.judged] + before, moves, strength)

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis.measures import share_over_rings
 from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Floats, Ints
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
@@ -53,9 +53,9 @@ class NoiseModel:
     def at_level(self, level: float) -> NoiseModel:
         return dataclasses.replace(self, level=level)
 
-    def on_part(self, numbers: NDArray[Any] | None) -> NoiseModel:
-        """The same noise on the vertices ``numbers`` (m,) of the mesh; None for all."""
-        if self.shares is None or numbers is None:
+    def on_part(self, numbers: Ints | EllipsisType) -> NoiseModel:
+        """The same noise on the vertices ``numbers`` (m,) of the mesh, ``...`` for all."""
+        if self.shares is None:
             return self
         return dataclasses.replace(self, shares=self.shares[numbers])
 

@@ -227,19 +227,11 @@ class CandidateRuns:
     ----------
     part : of the mesh.
     noise : on it.
-    on_run : called after every run.
     edges : the noise that candidates are given, mean edge lengths of the part; None for its height.
     """
 
-    def __init__(
-        self,
-        part: Part,
-        noise: NoiseModel,
-        on_run: Callable[[], object],
-        edges: float | None = None,
-    ) -> None:
+    def __init__(self, part: Part, noise: NoiseModel, edges: float | None = None) -> None:
         self.part, self.noise = part, noise
-        self._on_run = on_run
         if edges is None:
             edges = noise.height(part.judged) / part.mesh.mean_edge_length
         self._edges = float(round(edges, 4))
@@ -263,11 +255,17 @@ class CandidateRuns:
         return self.part.mesh.with_vertices(self.part.mesh.vertices + self.moves(candidate))
 
     def simulate(
-        self, candidates: Sequence[Candidate], first: Floats, added: str = DRAWN
+        self,
+        candidates: Sequence[Candidate],
+        pilot: Candidate,
+        on_run: Callable[[], object],
+        added: str = DRAWN,
     ) -> SimulatedRisk:
-        """Simulate candidates with ``first`` (m, 3) as the truth; see ``SimulatedRisk``."""
+        """Simulate candidates with the result of the ``pilot`` as the truth; ``on_run`` is called
+        after each.  See ``SimulatedRisk``."""
         runs = [functools.partial(self.moves, candidate) for candidate in candidates]
-        return SimulatedRisk(self.part, first, runs, self.noise, added, self._on_run)
+        truth = self.result(pilot).vertices
+        return SimulatedRisk(self.part, truth, runs, self.noise, added, on_run)
 
     def rate(self, candidates: Sequence[Candidate], true: Mesh, judged: Flags) -> Risk:
         """The risk of candidates over the vertices ``judged`` (m,) if ``true`` is the surface of
@@ -328,7 +326,7 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
         return RELAX
     noise = noise.along_normals()
     edges = noise.height(inside) / mesh.mean_edge_length
-    runs = CandidateRuns(part, noise, lambda: None, edges)
+    runs = CandidateRuns(part, noise, edges)
     usual, evened = wiener_al(edges), even_out(mesh, 1)
     moves = runs.moves(usual, evened) + (evened.vertices - mesh.vertices)
     tilts = runs.compare([runs.moves(usual), moves], runs.result(LEARNED))[1]
@@ -358,8 +356,7 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     part = select_patch(mesh)
     model = build_model(mesh, noise).on_part(part.numbers)
     is_gaussian = not noise.character.step and not noise.is_impulsive
-    trials = CandidateRuns(part, model, lambda: None)
-    first = trials.result(LEARNED if is_gaussian else ROBUST_LEARNED)
+    first = CandidateRuns(part, model).result(LEARNED if is_gaussian else ROBUST_LEARNED)
     normals, is_isotropic = first.vertex_normals("uniform"), model.direction == ISOTROPIC
     model = model.along_normals()
 

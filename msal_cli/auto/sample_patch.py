@@ -1,11 +1,10 @@
 """The part of a mesh that candidates run on, and the classification of its surface."""
 
-from typing import Any
+from types import EllipsisType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags
+from msal_cli.arrays import Flags, Ints, Longs
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.kernels.geometry import face_normals_and_areas
@@ -13,8 +12,6 @@ from msal_cli.kernels.quantiles import find_distinct, quantiles
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
-
-Ints = NDArray[Any]
 
 PART = 6_000
 """Vertices of the part that candidates of a search run on; on smaller parts the estimates scatter
@@ -37,7 +34,7 @@ class Part:
 
     mesh: Mesh  # the patches as one mesh, or the whole
     judged: Flags  # (m,) bool, vertices at which errors are evaluated
-    numbers: Ints | None = None  # (m,) vertex numbers in the whole mesh; None for the whole
+    numbers: Ints | EllipsisType = ...  # (m,) vertex numbers in the whole mesh; ``...`` for all
 
 
 def select_patch(mesh: Mesh, most: int = PART) -> Part:
@@ -78,9 +75,7 @@ def select_patch(mesh: Mesh, most: int = PART) -> Part:
     return Part(part, kept if kept.any() else judged[used], used)
 
 
-def _grow(
-    order: NDArray[np.int64], start: int, size: int, links: Connectivity, inside: Flags
-) -> None:
+def _grow(order: Longs, start: int, size: int, links: Connectivity, inside: Flags) -> None:
     """Mark ``size`` more vertices as ``inside`` (n,) by breadth-first search from unmarked ones in
     ``order``, from index ``start`` on."""
     marked, place = 0, 0

@@ -81,9 +81,6 @@ WEAK, SURE = 0.1, 0.13
 """Level of white noise, mean edge lengths, below which a range scan may have more that is
 correlated, and the width of the interval up to which it does not."""
 
-_RUNS = 2
-"""Runs of a candidate in a search: on the part, and in the simulation."""
-
 HARM = "every filter would add more error than it takes away"
 
 # For each ``Wishes.keep`` the factor of the noise, and the weight of slopes.
@@ -151,8 +148,8 @@ class _Search:
                 # The learned filter restores texture only under noise known to be white.
                 is_white = self.noise.character.kind != "unknown"
                 usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
-        self._total = _RUNS * len(usable) + 1
-        judges = [study.simulate(usable, study.result(pilot).vertices)]
+        self._total = len(usable) + 1
+        judges = [study.simulate(usable, pilot, self._step)]
         return self._choice(study, usable, judges, surface)
 
     def _choose_by_mirror(self, surface: str) -> Choice:
@@ -169,15 +166,13 @@ class _Search:
         members: tuple[Candidate, ...] = (ROBUST_LEARNED, FARTHER, *LINEAR)
         if surface == MACHINED:
             members = (sharpen(ROBUST_LEARNED, self.stages), FARTHER)
-        self._total = 3 * len(members)
         pilots = [members[0]]
         if surface == TEXTURED:
             pilots.append(LINEAR[0])
         elif surface == ORGANIC and not self.noise.is_uneven:
             pilots = [FARTHER]
-        mirrors = [
-            study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots
-        ]
+        self._total = len(pilots) * len(members) + 1
+        mirrors = [study.simulate(members, pilot, self._step, MIRRORED) for pilot in pilots]
         self.unit = mirrors[0].level
         return self._choice(study, members, mirrors, surface)
 
@@ -199,25 +194,9 @@ class _Search:
         rows[-1] = blends.round_weights(loudest / loudest.sum())
         return rows
 
-    def _strengthen(
-        self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats, strength: float
-    ) -> tuple[list[Candidate], Floats]:
-        """Add a stronger member to the members and weights (levels, k), so that vertices move as
-        much farther as the ``strength`` asks for."""
-        used = np.flatnonzero(rows.any(axis=0)).tolist()
-        spare = self.most_cost - sum(members[k].cost for k in used)
-        stronger = [
-            candidate
-            for candidate in blends.stronger_candidates(self._noise_edges())
-            if candidate.cost <= spare and self._is_usable(candidate)
-        ]
-        return blends.mix_in_stronger(
-            study, members, rows, stronger, strength, self.case, self.evened
-        )
-
     def _trials(self) -> CandidateRuns:
         part = select_patch(self.mesh)
-        return CandidateRuns(part, self.model.on_part(part.numbers), self._step)
+        return CandidateRuns(part, self.model.on_part(part.numbers))
 
     @property
     def _is_drawn(self) -> bool:
@@ -319,7 +298,16 @@ class _Search:
         is_strengthened = strength > 0.0 and bool(rows.any())
         blended: Sequence[Candidate] = members
         if is_strengthened:
-            blended, rows = self._strengthen(study, members, rows, strength)
+            used = np.flatnonzero(rows.any(axis=0)).tolist()
+            spare = self.most_cost - sum(members[k].cost for k in used)
+            stronger = [
+                candidate
+                for candidate in blends.stronger_candidates(self._noise_edges())
+                if candidate.cost <= spare and self._is_usable(candidate)
+            ]
+            blended, rows = blends.mix_in_stronger(
+                study, members, rows, stronger, strength, self.case, self.evened
+            )
         share = round(share, 3)
         self._on_step(self._total, self._total)
         edge = self.mesh.mean_edge_length
@@ -354,4 +342,4 @@ class _Search:
 
     def _step(self) -> None:
         self._done += 1
-        self._on_step(min(self._done, self._total - 1), self._total)
+        self._on_step(self._done, self._total)

@@ -99,7 +99,8 @@ def choose(
     else:
         from msal_cli.auto import adaptive
 
-        choice = adaptive.choose_adaptive(mesh, on_step, wishes)
+        choice = adaptive.choose_adaptive(mesh, wishes)
+        on_step(1, 1)
         if not estimate_noise(mesh).is_unsure:
             auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
     method = None if choice.method == NONE else methods.find(choice.method)

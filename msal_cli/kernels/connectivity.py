@@ -168,7 +168,7 @@ class Connectivity:
         """The one-rings in CSR form: where they start (n + 1,), and the neighbours."""
         return self.ring_start, self.ring
 
-    def rings_of(self, vertices: Longs) -> tuple[Longs, Longs, Longs]:
+    def rings_of(self, vertices: Ints | Longs) -> tuple[Longs, Longs, Longs]:
         """The concatenated one-rings of vertices (c,): for each neighbour (k,) the index of its
         vertex into ``vertices``, and its own vertex number; and the valences (c,)."""
         starts = self.ring_start[vertices]

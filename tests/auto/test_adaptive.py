@@ -98,7 +98,7 @@ def test_noise_or_texture_comes_out_well_either_way(monkeypatch):
 
 def test_candidates_that_err_in_opposite_ways_are_mixed(monkeypatch):
     mesh, true = torus_with(0.2)
-    runs = CandidateRuns(select_patch(mesh, 10**6), None, None, edges=0.1)
+    runs = CandidateRuns(select_patch(mesh, 10**6), None, edges=0.1)
     back, off = true.vertices - mesh.vertices, 0.02 * true.vertex_normals("uniform")
     moves = [back + 3.0 * off, back - off, 0.5 * back]
     _, pair, weights, error = adaptive._find_mixture(runs, moves, true, [2, 0, 1])

@@ -104,7 +104,7 @@ def rehearsed(part, *runs, pilot=None, noise=0.1, way="drawn"):
 def test_known_errors_are_those_of_heights_and_angles(factor, monkeypatch):
     # The noise is h, and the filter leaves (1 - factor) h of it, and slides by anything.
     part, heights = sheet(noise=0.1)
-    runs = CandidateRuns(part, NoiseModel(0.1), lambda: None)
+    runs = CandidateRuns(part, NoiseModel(0.1))
     slide = np.random.default_rng(1).standard_normal((len(heights), 1)) * [0.3, 0.2, 0.0]
     moves = slide - factor * heights[:, None] * UP
     candidate = Candidate("taubin", {}, 1.0)

@@ -101,7 +101,7 @@ def choose_by(monkeypatch, filters):
     """Let the plain command choose filters with so many sweeps by strength, and as much of what
     they move as the wishes ask for."""
 
-    def choose(mesh, on_step, wishes):
+    def choose(mesh, wishes):
         name, sweeps = filters[max(wishes.strength, 0.0)]
         members = [Candidate(name, {"iterations": sweeps}, 1.0)]
         monkeypatch.setitem(candidates._LABELS, ("umbrella", None), ("umbrella", ""))
