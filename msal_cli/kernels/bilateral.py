@@ -293,36 +293,22 @@ class ProjectionAverage:
         own, areas = face_normals_and_areas(positions, self.faces)
         areas /= self.mean_edge_length**2
         centroids = face_centroids(positions, self.faces)
+        floor = MIN_SIGMA * self.mean_edge_length
+
+        def average(normals: Floats, free: Flags, closeness: float, averaged: int) -> Floats:
+            """Displacements (n, 3) of the vertices to the average of centroids or projections."""
+            planes = centroids, areas, normals, self.faces, *self.links.incidence
+            widths = 2.0 * self.closeness, closeness, self.similarity, floor
+            known = positions, *planes, free, *widths, averaged
+            return fill_array(_project, positions.shape, *known)
+
         everywhere = np.ones_like(self.free)
-        smooth = positions + self._average(
-            positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
-        )
+        smooth = positions + average(own, everywhere, 0.5 * self.closeness, _CENTROIDS)
         normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
         has_normal = smooth_areas > MIN_AREA * self.mean_edge_length**2
         has_normal &= (normals != 0.0).any(axis=1)
         normals = np.where(has_normal[:, None], normals, own)
-        return Step(
-            self._average(
-                positions, centroids, areas, normals, self.free, self.closeness, _PROJECTIONS
-            )
-        )
-
-    def _average(
-        self,
-        positions: Floats,
-        centroids: Floats,
-        areas: Floats,
-        normals: Floats,
-        free: Flags,
-        closeness: float,
-        averaged: int,
-    ) -> Floats:
-        """Displacements (n, 3) of the vertices to the average of the centroids or projections."""
-        widths = 2.0 * self.closeness, closeness, self.similarity
-        floor = MIN_SIGMA * self.mean_edge_length
-        planes = centroids, areas, normals, self.faces, *self.links.incidence
-        known = positions, *planes, free, *widths, floor, averaged
-        return fill_array(_project, positions.shape, *known)
+        return Step(average(normals, self.free, self.closeness, _PROJECTIONS))
 
 
 @compiled

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.kernels.spatial_order import morton_keys
+from msal_cli.kernels.spatial_order import order_in_space
 
 Bounds = tuple[Floats, Floats]
 
@@ -74,11 +74,10 @@ def _bounds(triangles: Floats) -> Bounds:
 
 def _spatial_order(low: Floats, high: Floats) -> Longs:
     centres = np.ascontiguousarray((0.5 * low + 0.5 * high).T)
-    extent = float(np.ptp(centres, axis=0).max())
-    code = morton_keys(centres, centres.min(axis=0), extent or 1.0) >> np.uint64(32)
+    order = order_in_space(centres)
     # A box of size 0 has the exponent 0, like one of size 1.
     sizes = np.frexp((high - low).max(axis=0))[1] // _SIZES_PER_CLASS
-    return np.lexsort((code, -sizes))
+    return order[np.argsort(-sizes[order], kind="stable")]
 
 
 def _levels(low: Floats, high: Floats) -> list[Bounds]:
@@ -183,10 +182,10 @@ def _turn(corners: Ints, is_shared: Flags, count: int) -> Ints:
     return np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1)
 
 
-def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
-    """Indices of the triangles without a common vertex that meet."""
-    a, b = _points(vertices, first), _points(vertices, second)
-    return np.flatnonzero(_edges_meet(a, b, ((0, 1), (1, 2), (2, 0))))
+def _apart(vertices: Floats, first: Ints, second: Ints) -> Flags:
+    """Whether triangles without a common vertex meet."""
+    edges = (0, 1), (1, 2), (2, 0)
+    return _edges_meet(_points(vertices, first), _points(vertices, second), edges)
 
 
 def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Longs:
@@ -202,11 +201,9 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
     p, q, a = _points(vertices, first)
     b = vertices[second[:, 2]]
     # Nearly all open by more than a right angle; the others are decided exactly.
-    edge, to_a, to_b = q - p, a - p, b - p
-    square = _dots(edge, edge)
-    opening = _dots(to_a, to_b) * square - _dots(to_a, edge) * _dots(to_b, edge)
-    size = np.maximum(np.abs(to_a).max(axis=1), np.abs(to_b).max(axis=1))
-    size = np.maximum(size, np.abs(edge).max(axis=1))
+    edge, to_a, to_b = (q - p).T, (a - p).T, (b - p).T
+    opening = _dot(to_a, to_b) * _dot(edge, edge) - _dot(to_a, edge) * _dot(to_b, edge)
+    size = np.abs([edge, to_a, to_b]).max(axis=(0, 1))
     kept = np.flatnonzero(~(opening < -_MARGIN * size**4))
     kept = kept[space_signs(p[kept], q[kept], a[kept], b[kept]) == 0]
     p, q, a, b = (_flatten(points[kept], _drop(p, q, a, kept)) for points in (p, q, a, b))
@@ -283,13 +280,9 @@ def _points(vertices: Floats, corners: Ints) -> list[Floats]:
     return [vertices[corners[:, k]] for k in range(3)]
 
 
-def _dots(u: Floats, v: Floats) -> Floats:
-    products: Floats = np.einsum("ij,ij->i", u, v)
+def _dot(u: Any, v: Any) -> Floats:
+    products: Floats = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
     return products
-
-
-def _dot(u: Vectors, v: Vectors) -> Floats:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 def _cross(u: Vectors, v: Vectors) -> Vectors:

@@ -13,7 +13,7 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.spatial_order import LOW_BITS, gather_rows, morton_keys
+from msal_cli.kernels.spatial_order import gather_rows, order_in_space
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 LEAF = np.uint64(2)
@@ -76,7 +76,7 @@ def _find_nearest(
     nodes, squares = np.empty(_DEPTH, dtype=np.uint64), np.empty(_DEPTH)
     first_leaf, count, found = np.uint64(first_leaf), np.uint64(len(numbers)), ZERO
     for at in range(start, stop):
-        i = order[at] & LOW_BITS
+        i = np.uint64(order[at])
         point = vec.load(points, i)
         nearest = numbers[found]
         least = _square_to_triangle(point, corners, found)
@@ -114,13 +114,7 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
     """
     m = len(faces)
     corners = gather_rows(vertices, faces.reshape(-1)).reshape(m, 3, 3)
-    centres = corners.mean(axis=1)
-    low = centres.min(axis=0)
-    extent = float((centres.max(axis=0) - low).max())
-    keys = morton_keys(centres, low, extent or 1.0)
-    del centres
-    keys.sort()
-    numbers = (keys & LOW_BITS).astype(np.int32)
+    numbers = order_in_space(corners.mean(axis=1)).astype(np.int32)
     corners = corners[numbers]
     n_leaves = -(-m // int(LEAF))
     first_leaf = 1 << (n_leaves - 1).bit_length()
@@ -137,10 +131,7 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
             below, level = bound[level : 2 * level], level // 2
             bound[level : 2 * level] = pick(below[::2], below[1::2])
     triangles, distances = np.empty(len(points), dtype=np.int32), np.empty(len(points))
-    points = np.ascontiguousarray(points)
-    order = morton_keys(points, low, extent or 1.0)
-    order.sort()
-    of = points.reshape(-1), order, corners.reshape(-1), numbers
+    of = points.reshape(-1), order_in_space(points), corners.reshape(-1), numbers
     found = triangles, distances
     over_ranges(
         _find_nearest, len(points), *of, boxes.reshape(-1), first_leaf, *found, smallest=MIN_POINTS

@@ -112,11 +112,8 @@ class ScaleDependentUmbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        rows = self.ring_start, self.ring
-        moves = fill_array(
-            _scale_dependent_umbrella, positions.shape, positions, *rows, self.time_step
-        )
-        return Step(moves)
+        known = positions, self.ring_start, self.ring, self.time_step
+        return Step(fill_array(_scale_dependent_umbrella, positions.shape, *known))
 
 
 @compiled

@@ -284,8 +284,8 @@ def _corner(corners, f, k):
 
 
 @compiled
-def _index_corners(first, found, corners, shift, part, part_shift, table, vertices, keys, faces):
-    """Number the corners of facets from ``first`` on whose slot is in one ``part`` of the table.
+def _index_corners(found, corners, shift, part, part_shift, table, vertices, keys, faces):
+    """Number the corners of facets whose slot is in one ``part`` of the table.
 
     table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.  A part of it
         has ``2 ** part_shift`` slots.
@@ -301,7 +301,7 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
     touched = 0
     part_place = part << part_shift
     is_whole = len(table) == 1 << part_shift
-    for block in range(first, len(faces), _BLOCK_FACETS):
+    for block in range(0, len(faces), _BLOCK_FACETS):
         stop = min(block + _BLOCK_FACETS, len(faces))
         if found + 3 * (stop - block) > room:
             return block, found, False
@@ -345,20 +345,6 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
     return len(faces), found, False
 
 
-@compiled
-def _enter(vertices, shift, part, part_shift, table):
-    """Insert vertices that are all different into one part of an empty table."""
-    mask = len(table) - 1
-    for number in range(len(vertices)):
-        x, y, z = vec.load(vertices, number)
-        slot = _slot(x, y, z, shift)
-        if slot >> part_shift != part:
-            continue
-        while table[slot] != 0:
-            slot = (slot + 1) & mask
-        table[slot] = number + 1
-
-
 def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
     """The facets ``corners`` (m, 9), of any strides, as an indexed mesh.
 
@@ -374,35 +360,27 @@ def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, i
     faces = np.empty((m, 3), dtype=np.int32)
     # A closed surface has half as many vertices as facets.  Room is always left for one block.
     most = 3 * (m + _BLOCK_FACETS)
-    vertices = np.empty((min(most, m // 2 + m // 32 + 6 * _BLOCK_FACETS), 3))
-    bits = max(12, (5 * len(vertices) // 2 - 1).bit_length())
-    table = np.zeros(1 << bits, dtype=np.int32)
-    part_bits = 0
-    if array_files.are_used():
-        part_bits = (len(blocks(vertices.nbytes + table.nbytes, 1)) - 1).bit_length()
-    keys = np.empty(len(vertices) if part_bits else 0, dtype=np.uint64)
-    found = 0
-    for part in range(1 << part_bits):
-        at = 0
-        while True:
+    room = min(most, m // 2 + m // 32 + 6 * _BLOCK_FACETS)
+    while True:
+        vertices = np.empty((room, 3))
+        bits = max(12, (5 * room // 2 - 1).bit_length())
+        table = np.zeros(1 << bits, dtype=np.int32)
+        part_bits = 0
+        if array_files.are_used():
+            part_bits = (len(blocks(vertices.nbytes + table.nbytes, 1)) - 1).bit_length()
+        keys = np.empty(room if part_bits else 0, dtype=np.uint64)
+        found = 0
+        for part in range(1 << part_bits):
             places = np.uint64(64 - bits), part, bits - part_bits
-            at, found, is_bad = _index_corners(
-                at, found, corners, *places, table, vertices, keys, faces
-            )
+            results = table, vertices, keys, faces
+            at, found, is_bad = _index_corners(found, corners, *places, *results)
             if is_bad:
                 return vertices[:found], faces, at
-            if at == m:
+            if at < m:
                 break
-            if found + 3 * _BLOCK_FACETS > len(vertices):
-                room = min(most, 2 * len(vertices))
-                vertices.resize((room, 3), refcheck=False)
-                keys.resize(room if part_bits else 0, refcheck=False)
-            if found + 3 * _BLOCK_FACETS > len(table) // 2:
-                bits += 1
-                table = np.zeros(1 << bits, dtype=np.int32)
-                for done in range(part + 1):
-                    places = np.uint64(64 - bits), done, bits - part_bits
-                    _enter(vertices[:found], *places, table)
+        if at == m:
+            break
+        room = min(most, 2 * room)
     del table
     vertices.resize((found, 3), refcheck=False)
     if part_bits:
