@@ -63,8 +63,8 @@ and the own area, each over itself plus the mean; the four ripples, their means 
 DEVIATION = 5
 """Index of the deviation from the plane."""
 
-R1, R2, R3, R4, R6, R7, R8, R9, R10, R13, R16, R19 = (
-    LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 6, 7, 8, 9, 10, 13, 16, 19)
+R1, R2, R3, R4, R6, R7, R8, R9, R10, R12, R13, R16, R19 = (
+    LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 6, 7, 8, 9, 10, 12, 13, 16, 19)
 )
 """Sizes of so many rows of lanes."""
 
@@ -221,13 +221,22 @@ def _lay_neighbours(rows, points, marks, faces, counts, scales, block):
 
 
 @compiled
-def _lay_guides(row, stop, begin, points, records, is_later, memory):
+def _lay_part(part, of, at):
+    """Store a vector of the records of neighbours in a block; their number, 0 past the last."""
+    records, near, past, last, block = of
+    four = load_columns(records, near, RECORD, FOUR * part)
+    _store_vector(block, at, four)
+    return choose_greater(past, last, fill_lanes(_0), four[3])
+
+
+@compiled
+def _lay_guides(row, stop, begin, points, records, memory):
     """Fill a block with the wide weights of ``_lay_neighbours`` and the vectors to be filtered.
 
     They are those of the neighbours from ``row`` to ``stop``, in the block from ``begin`` on.
-    ``records`` has RECORD numbers of each face: six vectors, of which two exist if ``is_later``,
-    and after each a number: the area, then the scatter and the ripples.  The vectors follow the
-    weight.  The numbers are added to the first six rows of the sums.
+    ``records`` has RECORD numbers of each face: six vectors, of which the last two are undefined in
+    the first stage, and after each a number: the area, then the scatter and the ripples.  The
+    vectors follow the weight.  The numbers are added to the first six rows of the sums.
     """
     faces, counts, scales, block, sums = memory
     zero, one = fill_lanes(_0), fill_lanes(_1)
@@ -243,24 +252,14 @@ def _lay_guides(row, stop, begin, points, records, is_later, memory):
         areas = areas + area
         store_lanes(block, at, _biweigh(area, vec.dot(offset, offset), one))
         _store_vector(block, at + R1, part)
-        part = load_columns(records, near, RECORD, FOUR)
-        _store_vector(block, at + R4, part)
-        scatter = scatter + choose_greater(past, last, zero, part[3])
-        part = load_columns(records, near, RECORD, FOUR * TWO)
-        _store_vector(block, at + R7, part)
-        first = first + choose_greater(past, last, zero, part[3])
-        part = load_columns(records, near, RECORD, FOUR * THREE)
-        _store_vector(block, at + R10, part)
-        second = second + choose_greater(past, last, zero, part[3])
-        part = load_columns(records, near, RECORD, FOUR * FOUR)
-        third = third + choose_greater(past, last, zero, part[3])
-        if is_later:
-            _store_vector(block, at + R13, part)
-        part = load_columns(records, near, RECORD, RECORD - FOUR)
-        fourth = fourth + choose_greater(past, last, zero, part[3])
-        if is_later:
-            _store_vector(block, at + R16, part)
-        at += GUIDES
+        at += R4
+        parts = records, near, past, last, block
+        scatter = scatter + _lay_part(ONE, parts, at)
+        first = first + _lay_part(TWO, parts, at + R3)
+        second = second + _lay_part(THREE, parts, at + R6)
+        third = third + _lay_part(FOUR, parts, at + R9)
+        fourth = fourth + _lay_part(_FIVE, parts, at + R12)
+        at += GUIDES - R4
     _store_vector(sums, ZERO, (areas, scatter, first))
     _store_vector(sums, R3, (second, third, fourth))
 
@@ -544,7 +543,7 @@ def lay_inputs(first, last, group, of, is_later, memory, vectors, x):
         # The face itself stays first.
         begin = GUIDES if row else ZERO
         end = begin + (stop - row) * GUIDES
-        _lay_guides(row, stop, begin, points, records, is_later, memory)
+        _lay_guides(row, stop, begin, points, records, memory)
         for pair in range(5 if is_later else 4):
             guide, normal, per_1, per_2 = PAIRS[pair]
             place = R6 * np.uint64(1 + pair)

@@ -16,8 +16,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Floats32, Ints, Longs
+from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import centroid_points, face_centroids, faces_within
@@ -146,22 +147,10 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
     return ripples
 
 
-@dataclass(frozen=True, eq=False)
-class Neighbourhoods:
-    """The faces near each face, the same for all stages."""
-
-    ring_start: Ints  # ring_start, ring: faces that share an edge with each face, in CSR form
-    ring: Ints
-    # near_start, near: faces within ``WIDE`` local units, the nearest first
-    near_start: Longs
-    near: Ints
-
-
-def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    """The local unit (m,) at each of the ``centroids`` (m, 3), file units."""
-    m, rows = len(centroids), (ring_start.view(np.uint32), ring.view(np.uint32))
-    distances = fill_array(_measure_distances, m, centroids.reshape(-1), *rows)
-    return fill_array(_average_units, m, distances, *rows)
+def _find_units(centroids: Floats, *rows: NDArray[np.uint32]) -> Floats:
+    """The local unit (m,) at each of the ``centroids`` (m, 3), file units; rows of neighbours."""
+    distances = fill_array(_measure_distances, len(centroids), centroids.reshape(-1), *rows)
+    return fill_array(_average_units, len(centroids), distances, *rows)
 
 
 # The network
@@ -383,9 +372,11 @@ class NormalDescriber:
     ) -> None:
         m = len(faces)
         centroids = face_centroids(vertices, faces)
-        reach = WIDE * _find_units(centroids, ring_start, ring)
-        near = faces_within(centroids, ring_start, ring, reach, MAX_NEAR)
-        self.around = Neighbourhoods(ring_start, ring, *near)
+        self._ring = ring_start.view(np.uint32), ring.view(np.uint32)
+        reach = WIDE * _find_units(centroids, *self._ring)
+        # The nearest first; the same for all stages.
+        near_start, near = faces_within(centroids, ring_start, ring, reach, MAX_NEAR)
+        self._near = near_start.view(np.uint64), near.view(np.uint32)
         self.evidence = evidence
         self._faces = faces
         self._marks = np.empty(4 * m, dtype=np.float32)
@@ -403,29 +394,23 @@ class NormalDescriber:
         ripples : (n, 4) of the vertices, ``measure_ripples``.
         earlier : the normals (m, 3) of the stage before, for a later stage.
         """
-        known, records, around = self._known, self._records, self.around
+        known, records = self._known, self._records
         if earlier is not None:
             records[:, 20:23] = earlier
         m, given = len(known), self.evidence
-        self._lay_marks(*face_normals_and_areas(positions, self._faces))
+        normals, areas = face_normals_and_areas(positions, self._faces)
+        per_area = 1.0 / (float(areas.mean()) or 1.0)
+        over_ranges(_fill_marks, m, normals.reshape(-1), areas, per_area, *self._ring, self._marks)
+        del normals, areas
         points = centroid_points(positions, self._faces)
-        units = _find_units(points[:-1].reshape(-1, 3), around.ring_start, around.ring)
-        unit = float(units.mean()) or 1.0
-        of = units, unit, around.near_start.view(np.uint64), around.near.view(np.uint32)
+        units = _find_units(points[:-1].reshape(-1, 3), *self._ring)
+        of = units, float(units.mean()) or 1.0, *self._near
         corners, others = self._faces.reshape(-1).view(np.uint32), given.normals.reshape(-1)
         made = known.reshape(-1), records.reshape(-1)
         over_ranges(describe, m, points, self._marks, *of, corners, ripples, others, *made)
         inputs = points, *of, *made, given.statistics.reshape(-1), others
         values = _find_globals(known, records, given)
         return Descriptors(inputs, earlier is not None, values)
-
-    def _lay_marks(self, normals: Floats, areas: Floats) -> None:
-        """Store normals (m, 3), zero for degenerate faces, and areas (m,) for ``describe``."""
-        around = self.around
-        rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
-        per_area = 1.0 / (float(areas.mean()) or 1.0)
-        of = normals.reshape(-1), areas, per_area, *rows
-        over_ranges(_fill_marks, len(normals), *of, self._marks)
 
 
 def _find_globals(known: Floats32, records: Floats32, evidence: Evidence) -> Floats32:

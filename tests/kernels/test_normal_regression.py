@@ -53,7 +53,7 @@ def described(mesh, earlier=None, make_evidence=same_evidence):
     rings = face_rings(mesh.faces, mesh.topology, "edge")
     describer = NormalDescriber(mesh.faces, mesh.vertices, *rings, make_evidence(mesh))
     ripples = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.topology)
-    return describer.describe(mesh.vertices, ripples, earlier), describer.around
+    return describer.describe(mesh.vertices, ripples, earlier)
 
 
 def all_kernels():
@@ -86,7 +86,7 @@ def scan():
 @pytest.mark.ci
 def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     given = evidence_of(scan)
-    descriptors = described(scan, make_evidence=evidence_of)[0]
+    descriptors = described(scan, make_evidence=evidence_of)
     others = given.normals.reshape(-1, OTHERS, 3)
     assert (collect_inputs(descriptors)[1][:, VECTORS : VECTORS + OTHERS] == others).all()
     numbers = collect_inputs(descriptors)[0][:, 3 * descriptors.n_vectors : -GLOBALS]
@@ -105,7 +105,7 @@ def test_faces_without_noise_do_not_count_where_it_is_uneven(scan):
 
     def globals_of(mesh, is_uneven):
         make = functools.partial(with_power, is_uneven=is_uneven)
-        return described(mesh, make_evidence=make)[0].globals
+        return described(mesh, make_evidence=make).globals
 
     alone = globals_of(scan, False)
     assert np.allclose(globals_of(both, True), alone, atol=1e-5)
@@ -119,7 +119,7 @@ def test_a_face_without_area_takes_the_normal_of_those_around():
     vertices[faces[20, 1]] = (vertices[faces[20, 0]] + vertices[faces[20, 2]]) / 2
     mesh = prepare_mesh(vertices, faces).mesh
     assert mesh.flat_faces
-    descriptors, _ = described(mesh)
+    descriptors = described(mesh)
     inputs, vectors = collect_inputs(descriptors)
     assert np.isfinite(inputs).all()
     assert (np.abs(vectors[:, :, 2]) > 0.999).all()
@@ -133,14 +133,14 @@ def test_normals_that_others_do_not_give_are_the_own(scan):
         return given
 
     own = face_normals_and_areas(scan.vertices, scan.faces)[0]
-    vectors = collect_inputs(described(scan, make_evidence=without_first)[0])[1]
+    vectors = collect_inputs(described(scan, make_evidence=without_first))[1]
     assert np.abs(vectors[:, VECTORS + 1] - own).max() < 1e-6
 
 
 def test_lanes_of_machine_code_are_those_of_numpy(scan, monkeypatch):
     network = random_network(count_vectors(1), hidden=8)
     earlier = -face_normals_and_areas(scan.vertices, scan.faces)[0]
-    descriptors = described(scan, earlier)[0]
+    descriptors = described(scan, earlier)
     expected = [*descriptors.sources[5:7], descriptors.predict(network).reshape(-1)]
     monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
     for kernel in all_kernels():
@@ -156,7 +156,7 @@ def test_lanes_of_machine_code_are_those_of_numpy(scan, monkeypatch):
     monkeypatch.setattr(normal_regression, "over_ranges", over_part)
     # What is not made is anything.
     with np.errstate(all="ignore"):
-        known, records = described(scan, earlier)[0].sources[5:7]
+        known, records = described(scan, earlier).sources[5:7]
     made = known, records, descriptors.predict(network).reshape(-1)
     for interpreted, array in zip(made, expected, strict=True):
         rows = [part.reshape(len(earlier), -1)[start:stop] for part in (interpreted, array)]
