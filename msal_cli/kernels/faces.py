@@ -306,11 +306,6 @@ def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
 
 EPSILON = 1e-9
 
-BLOCK_PATCHES = np.uint64(32)
-"""Patches in a block, whose data fit a first-level cache."""
-
-FOUR = np.uint64(4)
-
 
 @compiled
 def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner):
@@ -343,94 +338,40 @@ def _jumps(start, stop, n, pairs, jumps):
 
 
 @compiled
-def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights):
-    """Gather the normals of the patches of a block contiguously, and sum areas and normals.
-
-    Those of a patch are followed by a cyclic repetition of ``half`` entries, so that the k-th after
-    each is another one of its patch.  Without degenerate faces.  Returns the number of entries.
-    """
-    filled = np.uint64(0)
-    for f in range(first, last):
-        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
-        total, weight = vec.ORIGIN, 0.0
-        own = filled
-        k = np.uint64(f)
-        at = row
-        while True:
-            normal = vec.load(n, k)
-            x[filled], y[filled], z[filled] = normal
-            area = areas[k]
-            filled += np.uint64(area > 0.0)
-            total = vec.add_scaled(total, area, normal)
-            weight += area
-            if at == end:
-                break
-            k = np.uint64(ring[at])
-            at += ONE
-        vec.store(sums, f - first, total)
-        weights[f - first] = weight
-        counts[f - first] = filled - own
-        if filled > own:
-            for place in range(own, own + half):
-                x[filled], y[filled], z[filled] = x[place], y[place], z[place]
-                filled += ONE
-    return filled
-
-
-@compiled
-def _widest(half, filled, x, y, z, squares):
-    """The largest squared difference between each vector and the next ``half`` ones, an even
-    number; vector code, because the entries of a block are many."""
-    for at in range(filled):
-        squares[at] = 0.0
-    places = max(filled, half) - half
-    for k in range(ONE, half, TWO):
-        for at in range(places):
-            a, b = (x[at], y[at], z[at]), (x[at + k], y[at + k], z[at + k])
-            c = x[at + k + ONE], y[at + k + ONE], z[at + k + ONE]
-            square = max(vec.square_distance(b, a), vec.square_distance(c, a))
-            squares[at] = max(squares[at], square)
-
-
-@compiled
 def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
     """Score and area-weighted mean normal of each patch; infinity if the mean vanishes.
 
-    n normals, flat like the means.  Indices are unsigned, so that they need no test of their sign.
+    n normals, flat like the means.  Faces without an area do not count.  Indices are unsigned, so
+    that they need no test of their sign.
     """
-    start, stop = np.uint64(start), np.uint64(stop)
-    # A patch has one face more than its ring, and at most as many repeated entries.
-    room = np.int64(BLOCK_PATCHES * TWO * (longest_row(start, stop, ring_start) + THREE))
-    x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    patches = np.int64(BLOCK_PATCHES)
-    counts, sums, weights = np.empty(patches, np.uint64), np.empty((patches, 3)), np.empty(patches)
-    for first in range(start, stop, BLOCK_PATCHES):
-        last = min(first + BLOCK_PATCHES, stop)
-        # Each with the next k / 2 ones are all pairs of k normals; here an even number.
-        half = (longest_row(first, last, ring_start) + THREE) // FOUR * TWO
-        filled = _gather(
-            first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights
-        )
-        _widest(half, filled, x, y, z, squares)
-        place = np.uint64(0)
-        for f in range(first, last):
-            count = counts[f - first]
-            square = 0.0
-            for at in range(place, place + count):
-                square = max(square, squares[at])
-            place += count + half if count else count
-            greatest = total = 0.0
-            for at in range(np.uint64(inner_start[f]), np.uint64(inner_start[f + ONE])):
-                jump = jumps[inner[at]]
-                greatest = max(greatest, jump)
-                total += jump
-            total_normal = vec.load(sums, f - first)
-            length = vec.norm(total_normal)
-            if length <= VANISHED * weights[f - first]:
-                scores[f] = np.inf
-                continue
-            scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
-            vec.store(means, f, vec.divide(total_normal, length))
+    room = np.int64(longest_row(start, stop, ring_start)) + 1
+    x, y, z = np.empty(room), np.empty(room), np.empty(room)
+    for f in range(np.uint64(start), np.uint64(stop)):
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        total, weight, count = vec.ORIGIN, 0.0, np.uint64(0)
+        for at in range(row, end + ONE):
+            k = np.uint64(ring[at - ONE]) if at > row else f
+            normal, area = vec.load(n, k), areas[k]
+            x[count], y[count], z[count] = normal
+            count += np.uint64(area > 0.0)
+            total = vec.add_scaled(total, area, normal)
+            weight += area
+        square = 0.0
+        for k in range(count):
+            own = x[k], y[k], z[k]
+            for at in range(np.uint64(k) + ONE, count):
+                square = max(square, vec.square_distance((x[at], y[at], z[at]), own))
+        greatest = sum_of_jumps = 0.0
+        for at in range(np.uint64(inner_start[f]), np.uint64(inner_start[f + ONE])):
+            jump = jumps[inner[at]]
+            greatest = max(greatest, jump)
+            sum_of_jumps += jump
+        length = vec.norm(total)
+        if length <= VANISHED * weight:
+            scores[f] = np.inf
+            continue
+        scores[f] = np.sqrt(square) * greatest / (EPSILON + sum_of_jumps)
+        vec.store(means, f, vec.divide(total, length))
 
 
 @compiled
