@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msal_cli.kernels.library import compiled
 
-# Constants, so that the compiler recognizes eight neighbours and makes one load or store.
+# Constants, so that the compiler recognizes eight neighbours and makes one load.
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))
 _BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (
     np.uint64(8 * count) for count in range(1, 8)
@@ -48,19 +48,14 @@ def load_eight(buf, at):
 @compiled
 def store_eight(out, at, word):
     """Write a word to the eight bytes at ``at``; bytes beyond the end are dropped."""
-    u = np.uint64(at)
+    first = np.uint64(at)
     if at + 8 <= len(out):
-        out[u] = np.uint8(word)
-        out[u + _ONE] = np.uint8(word >> _BITS_8)
-        out[u + _TWO] = np.uint8(word >> _BITS_16)
-        out[u + _THREE] = np.uint8(word >> _BITS_24)
-        out[u + _FOUR] = np.uint8(word >> _BITS_32)
-        out[u + _FIVE] = np.uint8(word >> _BITS_40)
-        out[u + _SIX] = np.uint8(word >> _BITS_48)
-        out[u + _SEVEN] = np.uint8(word >> _BITS_56)
+        # The compiler makes one store of a constant number of bytes.
+        for k in range(8):
+            out[first + np.uint64(k)] = np.uint8(word >> np.uint64(8 * k))
     else:
-        for k in range(at, len(out)):
-            out[k] = np.uint8(word >> np.uint64(8 * (k - at)))
+        for k in range(len(out) - at):
+            out[first + np.uint64(k)] = np.uint8(word >> np.uint64(8 * k))
 
 
 @compiled
@@ -70,7 +65,7 @@ def count_before(marks):
     Eight if none is marked.
     """
     # The lowest set bit minus one sets all bits below it, of which the lowest of each byte is
-    # counted. The marked byte itself has its seven lower bits set.
+    # counted.
     below = (marks - np.uint64(1)) & ~marks
     ones = np.uint64(0x0101010101010101)
     # The marked byte itself has its seven lower bits below.
