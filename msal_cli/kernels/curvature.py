@@ -129,8 +129,7 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     face the obtuse corner has half of the area, the others a quarter each.  The sum over all
     vertices is the area of the surface.
     """
-    corner_areas = np.empty((len(faces), 3))
-    over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
+    corner_areas = fill_array(_corner_areas, (len(faces), 3), vertices, faces)
     return fill_array(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence)
 
 

@@ -413,30 +413,6 @@ def _judge(
         scores[at] = score
 
 
-@compiled
-def _pick(start, stop, chosen, scores, ring_start, ring, picked):
-    for at in range(start, stop):
-        i = chosen[at]
-        is_largest = True
-        for slot in range(ring_start[i], ring_start[i + 1]):
-            k = ring[slot]
-            if scores[k] > scores[i] or (scores[k] == scores[i] and k < i):
-                is_largest = False
-        picked[at] = is_largest
-
-
-@compiled
-def _marked_around(chosen, ring_start, ring, marks):
-    for at in range(len(chosen)):
-        i = chosen[at]
-        marks[i] = True
-        for near in range(ring_start[i], ring_start[i + 1]):
-            j = ring[near]
-            marks[j] = True
-            for far in range(ring_start[j], ring_start[j + 1]):
-                marks[ring[far]] = True
-
-
 def measure_agreement(
     x: Floats, faces: Ints, links: Connectivity, chosen: Longs, agreements: Floats
 ) -> None:
@@ -477,13 +453,17 @@ def judge(
 def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     """The vertices whose score (n,) is above ``bound`` and the maximum of their one-ring."""
     chosen = np.flatnonzero(scores > bound)
-    picked = np.empty(len(chosen), dtype=np.bool_)
-    over_ranges(_pick, len(chosen), chosen, scores, *links.one_ring, picked)
-    return chosen[picked]
+    rows, near, _ = links.rings_of(chosen)
+    own, is_largest = chosen[rows], np.ones(len(chosen), dtype=np.bool_)
+    is_beaten = (scores[near] > scores[own]) | ((scores[near] == scores[own]) & (near < own))
+    is_largest[rows[is_beaten]] = False
+    return chosen[is_largest]
 
 
 def find_two_rings(chosen: Longs, links: Connectivity) -> Longs:
     """The vertices ``chosen`` (c,) and those at most two edges from one, ascending."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
-    _marked_around(chosen, *links.one_ring, marks)
+    marks[chosen] = True
+    for _ in range(2):
+        marks[links.rings_of(np.flatnonzero(marks))[1]] = True
     return np.flatnonzero(marks)

@@ -48,17 +48,6 @@ def _mean(start, stop, ring_start, ring, values, low):
 
 
 @compiled
-def _to_bands(start, stop, levels, powers):
-    """Turn levels into bands, the differences of consecutive ones, and compute their squares."""
-    last = len(levels) - 1
-    for i in range(start, stop):
-        for band in range(last + 1):
-            if band < last:
-                levels[band, i] -= levels[band + 1, i]
-            powers[i, band] = levels[band, i] ** 2
-
-
-@compiled
 def _load_five(powers, i):
     """The powers of a vertex; named numbers stay in registers."""
     return powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
@@ -147,7 +136,9 @@ def restoration(
         """Compute bands (5, n) from the finest of the levels, and their powers."""
         for finer, coarser in itertools.pairwise(levels):
             over_ranges(_mean, n, ring_start, ring, finer, coarser)
-        over_ranges(_to_bands, n, levels, powers)
+        for finer, coarser in itertools.pairwise(levels):
+            finer -= coarser
+        np.square(levels.T, out=powers)
 
     levels[0] = residual
     cut(levels)

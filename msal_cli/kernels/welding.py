@@ -10,8 +10,6 @@ from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.spatial_order import blocks, order_vertices
 
-_BLOCK_ROWS = 512
-
 
 @compiled
 def hash_bits(a, b, c):
@@ -29,48 +27,29 @@ def hash_bits(a, b, c):
 
 
 @compiled
-def _hashes(bits, start, stop, mask, hashes):
-    for i in range(start, stop):
-        hashes[i - start] = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
-
-
-@compiled
 def _alike_perhaps(bits, used, seen, again, candidates):
     """The rows whose hash is not unique, the only ones that can equal another; their number.
 
-    ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows
-    exceed the cache: the words of a block of rows are read first, all at once, so that waits
-    overlap.
+    ``seen`` and ``again`` are bit sets, a power of two words long.
     """
     mask = np.uint64(64 * len(seen) - 1)
     one, six, low = np.uint64(1), np.uint64(6), np.uint64(63)
-    hashes = np.empty(_BLOCK_ROWS, dtype=np.uint64)
-    touched = np.uint64(0)
     repeats = False
-    for start in range(0, len(used), _BLOCK_ROWS):
-        stop = min(start + _BLOCK_ROWS, len(used))
-        _hashes(bits, start, stop, mask, hashes)
-        for at in range(stop - start):
-            touched |= seen[hashes[at] >> six]
-        for at in range(stop - start):
-            word = hashes[at] >> six
-            bit = (one if used[start + at] else np.uint64(0)) << (hashes[at] & low)
-            if seen[word] & bit:
-                again[word] |= bit
-                repeats = True
-            seen[word] |= bit
-    # Keeps the compiler from removing these reads; the last item is unused.
-    candidates[len(used)] = np.int64(touched & one)
+    for i in range(len(used)):
+        code = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+        bit = (one if used[i] else np.uint64(0)) << (code & low)
+        if seen[code >> six] & bit:
+            again[code >> six] |= bit
+            repeats = True
+        seen[code >> six] |= bit
     count = 0
     if not repeats:
         return count
-    for start in range(0, len(used), _BLOCK_ROWS):
-        stop = min(start + _BLOCK_ROWS, len(used))
-        _hashes(bits, start, stop, mask, hashes)
-        for at in range(stop - start):
-            candidates[count] = start + at
-            is_one = (again[hashes[at] >> six] >> (hashes[at] & low)) & one
-            count += 1 if is_one and used[start + at] else 0
+    for i in range(len(used)):
+        code = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+        is_one = (again[code >> six] >> (code & low)) & one
+        candidates[count] = i
+        count += 1 if is_one and used[i] else 0
     return count
 
 
@@ -257,10 +236,9 @@ def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
 
 # Triangle soup, facets with separate corners, as an indexed mesh.  Most of the time is spent on
 # waiting for the hash table of vertex numbers, whose slots for new vertices are random in memory.
-# So the slots of a block of corners are computed first, as vector code, and read all at once; only
-# then are the corners processed.  If arrays are in files, each wait may be one for the disk.  So
-# the corners are read several times, each time for slots in one part of the table, which fits into
-# memory.
+# So the slots of a block of corners are read first, all at once.  If arrays are in files, each wait
+# may be one for the disk.  So the corners are read several times, each time for slots in one part
+# of the table, which fits into memory.
 
 _BLOCK_FACETS = 256
 
@@ -299,50 +277,37 @@ def _index_corners(found, corners, shift, part, part_shift, table, vertices, key
     room = min(len(vertices), len(table) // 2)
     slots = np.empty(3 * _BLOCK_FACETS, dtype=np.int64)
     touched = 0
-    part_place = part << part_shift
-    is_whole = len(table) == 1 << part_shift
     for block in range(0, len(faces), _BLOCK_FACETS):
         stop = min(block + _BLOCK_FACETS, len(faces))
         if found + 3 * (stop - block) > room:
             return block, found, False
-        for f in range(block, stop):
-            for k in range(3):
-                x, y, z = _corner(corners, f, k)
-                slots[3 * (f - block) + k] = _slot(x, y, z, shift)
-        # Without a condition if there is one part, so that many slots are read at once.
-        if is_whole:
+        for at in range(3 * (stop - block)):
+            x, y, z = _corner(corners, block + at // 3, at % 3)
+            slots[at] = _slot(x, y, z, shift)
+        if len(table) == 1 << part_shift:
             for at in range(3 * (stop - block)):
                 touched |= table[slots[at]]
-        else:
-            for at in range(3 * (stop - block)):
-                touched |= table[slots[at] if slots[at] >> part_shift == part else part_place]
-        for f in range(block, stop):
-            for k in range(3):
-                slot = slots[3 * (f - block) + k]
-                is_own = is_whole or slot >> part_shift == part
-                if part and not is_own:
-                    continue
-                x, y, z = _corner(corners, f, k)
-                if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
-                    return f, found, True
-                if not is_own:
-                    continue
+        for at in range(3 * (stop - block)):
+            f, k, slot = block + at // 3, at % 3, slots[at]
+            x, y, z = _corner(corners, f, k)
+            if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
+                return f, found, True
+            if slot >> part_shift != part:
+                continue
+            number = table[slot] - 1
+            while number >= 0 and vec.load(vertices, number) != (x, y, z):
+                slot = (slot + 1) & mask
                 number = table[slot] - 1
-                while number >= 0 and vec.load(vertices, number) != (x, y, z):
-                    slot = (slot + 1) & mask
-                    number = table[slot] - 1
-                if number < 0:
-                    number = found
-                    if len(keys):
-                        keys[number] = np.uint64(3 * f + k) << np.uint64(32) | np.uint64(number)
-                    found += 1
-                    table[slot] = found
-                    vec.store(vertices, number, (x, y, z))
-                faces[f, k] = number
-    # Never true; keeps the compiler from removing these reads.
-    if touched < 0:
-        found = -1
-    return len(faces), found, False
+            if number < 0:
+                number = found
+                if len(keys):
+                    keys[number] = np.uint64(3 * f + k) << np.uint64(32) | np.uint64(number)
+                found += 1
+                table[slot] = found
+                vec.store(vertices, number, (x, y, z))
+            faces[f, k] = number
+    # Never true; keeps the compiler from removing the reads of a block.
+    return len(faces), -1 if touched < 0 else found, False
 
 
 def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
