@@ -80,7 +80,6 @@ bunny, with an angle of 5.9 degrees, where AL with the Wiener schedule has 5.3."
 STRONG = 0.25
 """Level of noise, mean edge lengths, from which ``--auto`` is much better on any surface."""
 
-
 BALANCED = Wishes()
 
 
@@ -108,7 +107,6 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
     height = case.model.height(mesh.topology.has_ring, normals)
     # The level along the normals, of the noisiest regions, in edges of the relaxed mesh.
     loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
-    evened = case.mesh.vertices - mesh.vertices
     level, given, mesh = max(height, loudest) / edge, mesh, case.mesh
     what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
@@ -159,13 +157,9 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
     rows = weights[:, numbers] * mixture
     if wishes.strength > 0.0:
         stronger = [*blends.stronger_candidates(round(level, 4))[1:], *_linear(mesh)]
-        members, rows = blends.mix_in_stronger(
-            runs, members, rows, stronger, wishes.strength, case, evened
-        )
+        members, rows = blends.mix_in_stronger(runs, members, rows, stronger, wishes.strength, case)
     share = round(float(shares[best]) * wishes.share, 3)
-    used, parameters, label = blends.build_recipe(
-        members, rows, round(level, 4), case.levels, case.relax, share, blends.find_line(noise)
-    )
+    used, parameters, label = blends.build_recipe(members, rows, round(level, 4), share, case)
     return Choice(
         used,
         parameters,

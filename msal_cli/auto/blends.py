@@ -193,6 +193,10 @@ def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flag
 
 # What is known of a mesh before candidates run on it
 
+SURE_LINE = 0.95
+"""Confidence in noise along an axis from which vertices move only along it: most scans along the
+view have more; a raw scan with white noise, where it does harm, has 0.90."""
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -203,7 +207,10 @@ class Case:
     # local, levels: local levels (n,), and those with their own weights; empty for uniform noise
     local: Floats
     levels: tuple[float, ...]
+    # relax, evened: passes that relaxed the triangles, and displacements by them (n, 3), file units
     relax: int
+    evened: Floats
+    line: tuple[float, float, float] | None  # axis of the noise; None if none is certain
 
 
 def build_case(mesh: Mesh, noise: NoiseLevel) -> Case:
@@ -218,7 +225,10 @@ def build_case(mesh: Mesh, noise: NoiseLevel) -> Case:
         if model.shares is not None:
             local = local_levels(mesh)
             levels = spread_levels(local[mesh.topology.has_ring])
-    return Case(even_out(mesh, relax), model.along_normals(), local, levels, relax)
+    relaxed, character = even_out(mesh, relax), noise.character
+    line = character.axis if character.confidence >= SURE_LINE else None
+    evened = relaxed.vertices - mesh.vertices
+    return Case(relaxed, model.along_normals(), local, levels, relax, evened, line)
 
 
 # Blends as methods, and in words
@@ -230,22 +240,9 @@ PLAIN = ("none", "white", "impulsive", "unknown")
 MIN_NOISE = 0.05
 """Smallest level of noise, mean edge lengths, for which a mesh is smoothed on request."""
 
-STRENGTH = 1.2
-"""Factor of the assumed noise for each step of ``Wishes.strength``."""
-
-SHAPE = 1.25
-"""Factor of the assumed noise if the smooth shape is to be kept."""
-
-
-SURE_LINE = 0.95
-"""Confidence in noise along an axis from which vertices move only along it: most scans along the
-view have more; a raw scan with white noise, where it does harm, has 0.90."""
-
-
-def find_line(noise: NoiseLevel) -> tuple[float, float, float] | None:
-    """The axis of the noise; None if there is none, or its confidence is low."""
-    character = noise.character
-    return character.axis if character.confidence >= SURE_LINE else None
+STRENGTH, SHAPE = 1.2, 1.25
+"""Factors of the assumed noise for each step of ``Wishes.strength``, and if the smooth shape is to
+be kept."""
 
 
 def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
@@ -275,20 +272,19 @@ def build_recipe(
     members: Sequence[Candidate],
     weights: Floats,
     noise_edges: float,
-    levels: Sequence[float] = (),
-    relax: int = 0,
     share: float = 1.0,
-    line: Sequence[float] | None = None,
+    case: Case | None = None,
 ) -> tuple[str, dict[str, Any], str]:
     """The blend of ``members`` by weights (k,) in hundredths, the largest first, as a method or
     ``NONE``, all of its parameters, and its label.
 
-    ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
-    ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is the number
-    of passes that relax the triangles first, ``share`` the part of the displacements that is
-    applied, and ``line`` the direction along which vertices move; see the method ``blend``.  A
-    single member of weight 1 becomes its method alone, and zero weights become ``NONE``.
+    ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh, and
+    ``share`` the part of the displacements that is applied.  A ``case`` with levels has weights
+    (levels, k); its triangles are relaxed first, and vertices move along its line; see the method
+    ``blend``.  A single member of weight 1 becomes its method alone, and zero weights become
+    ``NONE``.
     """
+    levels, relax, line = (case.levels, case.relax, case.line) if case else ((), 0, None)
     rows = np.atleast_2d(weights)
     largest = rows.max(axis=0)
     used = sorted(np.flatnonzero(largest).tolist(), key=lambda k: (-largest[k], k))
@@ -358,16 +354,10 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | No
 # More smoothing than the choice.  The choice is made once, without the wish.  The weight of the
 # filter that is mixed in is found by the displacements of the mixture, so strength always counts.
 
-MORE = 0.03
-"""Relative increase of the displacements for each step of ``Wishes.strength`` above 0.  Then the
-noise is nearly gone, and 3 % more removes a quarter more of shape and texture."""
-
-STRONGER_TIMES = (1.5, 2.0, 3.0, 5.0, 8.0)
-"""Levels of noise that AL with the Wiener schedule is given, over the estimate."""
-
-
-THOUSANDTHS = 1000
-"""The weights of such mixtures are multiples of 1 / 1000."""
+MORE, STRONGER_TIMES = 0.03, (1.5, 2.0, 3.0, 5.0, 8.0)
+"""Relative increase of the displacements for each step of ``Wishes.strength`` above 0: the noise is
+nearly gone, and 3 % more removes a quarter more of shape and texture.  And levels of noise that AL
+with the Wiener schedule is given for it, over the estimate."""
 
 
 def stronger_candidates(level: float) -> list[Candidate]:
@@ -430,18 +420,16 @@ def mix_in_stronger(
     stronger: Sequence[Candidate],
     strength: float,
     case: Case,
-    evened: Floats,
 ) -> tuple[list[Candidate], Floats]:
     """Add one of the ``stronger`` candidates to the ``members`` and their weights (levels, k), so
     that vertices move as much farther as the ``strength`` asks for.
 
-    ``runs`` are those of the members on a part of the mesh of the ``case``, and ``evened`` (n, 3)
-    are the displacements by relaxing its triangles before, file units.
+    ``runs`` are those of the members on a part of the mesh of the ``case``.
     """
     if not stronger:
         return list(members), rows
     part = runs.part
-    before = evened[part.numbers][part.judged]
+    before = case.evened[part.numbers][part.judged]
     base = np.zeros_like(part.mesh.vertices)
     for k in np.flatnonzero(rows.any(axis=0)).tolist():
         weight = rows[0, k]
@@ -451,5 +439,5 @@ def mix_in_stronger(
     moves = [runs.moves(candidate)[part.judged] + before for candidate in stronger]
     k, share = strengthen(base[part.judged] + before, moves, strength)
     mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
-    weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
+    weights = np.stack([round_weights(row, 1000) for row in mixed])
     return [*members, stronger[k]], weights

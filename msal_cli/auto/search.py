@@ -58,16 +58,10 @@ the noise and for twice the noise: angles are 1 % smaller."""
 MIN_WEIGHT = 0.04
 """Members below this weight are left out."""
 
-DOUBT, GREAT_DOUBT = 0.15, 0.5
+DOUBT, GREAT_DOUBT, WIDE, UNEVEN_WIDTH = 0.15, 0.5, 0.3, 0.18
 """The assumed level of noise is below the estimate, because part of it may be texture: by this
 share of the distance to the lower end of its interval, if that distance is up to ``WIDE`` of the
-level, and if it is all of the level."""
-
-WIDE = 0.3
-"""Usual width of the interval below the level, as a share of the level."""
-
-UNEVEN_WIDTH = 0.18
-"""The width that is assumed for uneven noise."""
+level, as usual, and if it is all of the level.  For uneven noise the last share is assumed."""
 
 MOST = 0.5
 """Sum of weights from which those of a machined part are scaled to 1, because flat faces have no
@@ -122,12 +116,10 @@ class _Search:
         self.most_cost = MOST_COST if is_large else np.inf
         self.stages = LARGE_STAGES if is_large else STAGES
         self._done = self._total = 0
-        self.case = case = blends.build_case(mesh, noise)
-        self.mesh, self.relax = case.mesh, case.relax
-        self.evened = self.mesh.vertices - mesh.vertices
-        self.model = case.model.at_level(self.level)
-        # For the relaxed mesh, and without the wishes.
-        self.local, self.levels = case.local, case.levels
+        # Its levels are without the wishes.
+        self.case = blends.build_case(mesh, noise)
+        self.mesh = self.case.mesh
+        self.model = self.case.model.at_level(self.level)
 
     def choose(self) -> Choice:
         """The best blend, or single method."""
@@ -179,12 +171,13 @@ class _Search:
     def _by_level(self, part: Part, judges: Sequence[SimulatedRisk], weights: Floats) -> Floats:
         """Weights (levels, k) for each level of local noise, of the members with weight in
         ``weights`` (k,); a single row if the noise is uniform."""
-        rows = np.tile(weights, (max(len(self.levels), 1), 1))
+        levels = self.case.levels
+        rows = np.tile(weights, (max(len(levels), 1), 1))
         kept = np.flatnonzero(weights)
-        if not self.levels or not len(kept):
+        if not levels or not len(kept):
             return rows
         for row, judged in zip(
-            rows, blends.level_masks(part, self.local, self.levels), strict=True
+            rows, blends.level_masks(part, self.case.local, levels), strict=True
         ):
             if judged.sum() >= blends.MIN_JUDGED:
                 some = self._best([judge.risk(judged).of(kept.tolist()) for judge in judges])
@@ -306,7 +299,7 @@ class _Search:
                 if candidate.cost <= spare and self._is_usable(candidate)
             ]
             blended, rows = blends.mix_in_stronger(
-                study, members, rows, stronger, strength, self.case, self.evened
+                study, members, rows, stronger, strength, self.case
             )
         share = round(share, 3)
         self._on_step(self._total, self._total)
@@ -320,9 +313,7 @@ class _Search:
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if rows[:, k].min() < 1.0][:3]
         noise = self._noise_edges()
-        method, parameters, label = blends.build_recipe(
-            blended, rows, noise, self.levels, self.relax, share, blends.find_line(self.noise)
-        )
+        method, parameters, label = blends.build_recipe(blended, rows, noise, share, self.case)
         choice = Choice(
             method,
             parameters,
