@@ -214,11 +214,9 @@ MIN_SCALE, MAX_SCALE = 1e-50, 1e50
 """If the largest coordinate is outside, all are divided by it, because sixth powers of coordinates
 would underflow or overflow."""
 
-MAX_POINTS = 4_000_000
-"""Up to so many vertices and face centres of a mesh, the distances of all are measured."""
-
-SAMPLED_POINTS = 1_000_000
-"""About how many are measured of more: each fifth, sixth and so on, in the order of the file."""
+MAX_POINTS, SAMPLED_POINTS = 4_000_000, 1_000_000
+"""Up to so many vertices and face centres of a mesh, the distances of all are measured; of more
+about the second number: each fifth, sixth and so on, in the order of the file."""
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
@@ -407,17 +405,15 @@ def _inward_parts(mesh: Mesh) -> tuple[Flags | None, int]:
 # reduces the area by a share of at most 4 times the noise squared, and moves 95 % of the vertices
 # by at most 2.8 times the noise.
 
-FLIPPED_SHARE = 0.02
-"""Share of the faces that may flip on a mesh without folds."""
+FLIPPED_SHARE, FLIPS_PER_FOLD = 0.02, 1.5
+"""Share of the faces that may flip on a mesh without folds, and how many more for each face that
+was folded before."""
 
 FLIPPED_AREA = 0.02
 """Faces with less than this share of the area may flip however many they are, because small
 displacements flip needles.  On four unevenly triangulated shapes filters that bring faces nearer to
 the truth, from a noise of 0.1 or 0.3 along the normals, flip 3 to 4 % of them, with 0.4 to 1.2 % of
 the area."""
-
-FLIPS_PER_FOLD = 1.5
-"""Additional faces that may flip for each face that was folded before."""
 
 VOLUME_SHARE = 0.5
 """Share of its volume that a closed surface may lose or gain."""

@@ -27,14 +27,12 @@ USUAL, STEP, MAX_STEPS = 0.0005, 0.17, 0.8
 """The more outliers there are, the more likely a vertex is one: the bound is reduced by ``STEP``
 times the logarithm of their share over ``USUAL``, up to ``MAX_STEPS``, unless they may be noise."""
 
-MAX_PASSES = 12
-"""Adjacent spikes mask one another, so each pass takes only those with locally maximal scores."""
+MAX_PASSES, RETURNS = 12, 2
+"""Adjacent spikes mask one another, so each pass takes only those with locally maximal scores.  The
+last ones project all outliers at once, each by the new positions of the others."""
 
 NEW_SHARE = 0.1
 """If more than this share of the outliers is new, the noise of the others is estimated again."""
-
-RETURNS = 2
-"""Passes that project all outliers at once, each by the new positions of the others."""
 
 FEW_OUTLIERS = 0.002
 """Up to this share of the vertices outliers hardly change the estimated level of noise, which is

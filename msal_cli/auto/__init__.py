@@ -54,7 +54,6 @@ BYTES = 25_000_000
 """Memory that a choice needs beyond that of methods, for meshes of any size, because candidates run
 on a part.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
-
 LESS, KEEP_TEXTURE = 0.2, 0.9
 """The reduction of displacements, as a share of the choice, for each step of ``Wishes.strength``
 below 0; and the share of the choice that is applied to keep texture."""

@@ -58,7 +58,6 @@ _LABELS: dict[tuple[str, Any], tuple[str, str]] = {
     ("windowed_sinc", None): ("windowed sinc", "pass band {pass_band:g}, {iterations} steps"),
 }
 
-
 _SLIDING: dict[str, Any] = {"sliding": "auto"}
 """Tangential displacements (sliding) are removed where the noise is along the normals."""
 

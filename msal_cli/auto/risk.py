@@ -50,11 +50,9 @@ DRAWN, MIRRORED = "drawn", "mirrored"
 MIN_EDGE = 0.3
 """Mean edge lengths; shorter edges count as this long, because single slivers would dominate."""
 
-MIN_SHARE = 1e-9
-"""Smallest squared noise that errors are divided by, over the largest squared displacement."""
-
-MIN_NOISE = 1e-6
-"""Smallest level of noise, mean edge lengths, because errors are divided by it."""
+MIN_SHARE, MIN_NOISE = 1e-9, 1e-6
+"""Errors are divided by at least this share of the largest squared displacement, and by at least
+this level of noise, mean edge lengths."""
 
 
 @dataclass(frozen=True, eq=False)

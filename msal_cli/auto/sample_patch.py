@@ -112,12 +112,10 @@ SHARP = 9.0
 the third quartile: sharp edges between smooth parts.  On the models of benchmarks/ground_truth.py,
 after a first blend, machined ones have 9.3 and more, others 8.7 and less, mostly 5."""
 
-ROUGH_DEG = 10.0
-"""The 90th percentile of the angles, in degrees, from which a surface is textured."""
-
-EVEN = 3.3
-"""Largest ratio of the same percentiles of a textured surface: 2.3 to 2.8 on texture, 3.9 and more
-where noise is left on smooth parts between edges."""
+ROUGH_DEG, EVEN = 10.0, 3.3
+"""A surface is textured from this 90th percentile of the angles, in degrees, up to this ratio of
+the percentiles above: 2.3 to 2.8 on texture, 3.9 and more where noise is left on smooth parts
+between edges."""
 
 AWAY = 0.02
 """Share of the area of a range scan that may face away from the scanner, by noise at grazing

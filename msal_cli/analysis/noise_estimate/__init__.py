@@ -78,17 +78,14 @@ KIND_NAMES = KINDS[:-1]
 """The outputs of the classifier: all kinds but ``unknown``."""
 
 LEVEL_OF_KIND = {
-    "white": "white",
-    "isotropic": "white",
     "correlated": "colour",
     "view": "axis",
     "quantised": "steps",
     "uneven": "regions",
-    "outliers": "white",
     "impulsive": "rms",
     "staircase": "steps",
 }
-"""Which of the ``LEVELS`` measures the level of each kind."""
+"""Which of the ``LEVELS`` measures the level of a kind; ``"white"`` that of the others."""
 
 CORRECTED = ("white", "isotropic", "correlated", "view", "outliers", "impulsive")
 """Kinds whose measured level a forest corrects; for steps and regions it brings nothing."""
@@ -100,7 +97,6 @@ small meshes are designs rather than scans."""
 MAX_RINGS, MIN_SHARED = 4, 0.95
 """Largest number of rings over which noise is correlated, and the estimate below which it is 0."""
 
-
 MIN_VERTICES = 64
 """Meshes with fewer vertices get no estimate, because two rings are most of the mesh."""
 
@@ -108,13 +104,11 @@ NAMED = 0.5
 """Smallest probability with which a kind is reported, as a share of the probability of noise."""
 
 PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
-"""Smallest probabilities with which correlated noise is reported, because filters for it would
-smooth relief: if wide fits leave the same residual everywhere at misfits below ``PLAIN_MISFIT``; by
-default; and for residuals like those of smooth relief, or misfits above ``POOR_MISFIT``."""
-
 PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
-"""Misfits of the levels by scale: below the first one correlated noise explains them, above the
-second one it hardly does."""
+"""Smallest probabilities with which correlated noise is reported, because filters for it would
+smooth relief: if wide fits leave the same residual everywhere and it explains the levels by scale,
+at misfits below the first bound; by default; and for residuals like those of smooth relief, or
+misfits above the second bound."""
 
 FEW_VERTICES, MAX_FEW = 512, 0.75
 """With fewer vertices designs look like scans (a cone of 34, a ring of 128, a patch of 432), and
@@ -178,24 +172,16 @@ MAX_PATTERNED = 0.3
 """Largest probability of noise if nearly all of the residual is a repeating pattern; terraces and
 quantised depths are excepted, because they repeat too."""
 
-STEPPED = ("staircase", "quantised")
-"""Kinds of noise that repeat on slopes."""
-
-ALONG_AXIS = ("view", "quantised")
-"""Kinds of noise along an axis, which need ``SURE_FIELD`` on decimated height fields."""
-
 SURE_FIELD = 0.995
-"""The classifier gives noise along an axis up to 0.993 on 23 decimated height fields without noise
-(0.995 to 0.999 on 6 more, which are terraced), and 0.98 to 0.999 on scattered points with noise."""
+"""Probability that noise along an axis needs on decimated height fields: up to 0.993 on 23 without
+noise (0.995 to 0.999 on 6 more, which are terraced), 0.98 to 0.999 on scattered points with noise.
+"""
 
 FIELD_SIDED, FIELD_OUTLINE, FIELD_SPREAD, FIELD_REGULAR = 0.99, 6.0, 3.4, 0.85
 """A mesh is a decimated height field above this share of normals within 90 degrees of their mean,
 up to this number of boundary vertices over the square root of all (0.5 to 5 on 95 fields; 8 to 18
 on 10 of 12 decimated scans of depth cameras, which have gaps), above this ratio of the 95 % and 5 %
 quantiles of edge lengths, and below this share of vertices of valence 6."""
-
-BENDING = ("white", "isotropic", "correlated")
-"""Kinds of noise that leave hardly an edge flat."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
 """Kinds of noise that may be correlated."""
@@ -208,7 +194,6 @@ PASSES = 20
 
 MIN_HEIGHT = 0.01
 """Mean edge lengths added to heights before the logarithm, so that small ones count less."""
-
 
 _LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
 """Estimates of whole meshes by part, set by ``lend_estimate``."""
@@ -339,7 +324,7 @@ def load_classifier() -> Classifier:
 
 def measured_level(numbers: Floats, kind: str, rings: int) -> float:
     """Logarithm of the measured level, mean edge lengths, of noise of a kind."""
-    name = "axis_colour" if kind == "view" and rings else LEVEL_OF_KIND[kind]
+    name = "axis_colour" if kind == "view" and rings else LEVEL_OF_KIND.get(kind, "white")
     value = float(numbers[LEVELS.index(name)])
     return value if value > MISSING else float(numbers[LEVELS.index("white")])
 
@@ -417,7 +402,7 @@ def characterize(mesh: Mesh) -> Estimate:
     needed = _needed_probability(verdict, measured, evidence)
     if mesh.topology.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(mesh.topology.ring):
         needed = max(needed, SURE_DESIGN if verdict.kind in INDEPENDENT_KINDS else SURE_DECIMATED)
-    if verdict.kind in ALONG_AXIS and _is_decimated_field(mesh, evidence):
+    if verdict.kind in ("view", "quantised") and _is_decimated_field(mesh, evidence):
         needed = SURE_FIELD
     is_doubtful = is_few or verdict.noise < needed
     if not is_doubtful and verdict.noise < SURE_NOISE:
@@ -427,7 +412,7 @@ def characterize(mesh: Mesh) -> Estimate:
         return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
-    has_steps = verdict.kind in STEPPED or evidence.steps.n_axes == 3
+    has_steps = verdict.kind in ("staircase", "quantised") or evidence.steps.n_axes == 3
     if not has_steps and is_patterned(mesh, evidence.survey):
         probability = min(verdict.noise, MAX_PATTERNED)
         return _without_noise(white, 1.0 - probability, "shape that repeats", measured)
@@ -437,42 +422,37 @@ def characterize(mesh: Mesh) -> Estimate:
     if is_named:
         character = dataclasses.replace(character, **_describe_kind(evidence, verdict, white.tail))
     readings = _order_readings(verdict.level, verdict.noise)
-    level, low = verdict.level, verdict.low
+    level, low, high = verdict.level, verdict.low, verdict.high
     if verdict.kind == "impulsive":
         level = min(level, white.level)
     if verdict.kind == "white":
         # The fits measure white noise, so their lower bound, which allows for relief, applies.
         low = min(low, white.low)
+    if readings[0].probability < MIN_PROBABILITY:
+        low = 0.0
+    lowest, highest, n_regions, regions = level, level, len(white.regions), None
+    if character.kind == "uneven" and evidence.differences is not None:
+        differences = evidence.differences
+        scale = level * white.edge / np.sqrt(weigh_differences(differences))
+        levels = scale * np.sqrt(differences.lows)
+        lowest, highest = float(levels.min()) / white.edge, float(levels.max()) / white.edge
+        low, high, n_regions = min(low, lowest), max(high, highest), len(levels)
+        regions = mesh.vertices[evidence.survey.vertices[differences.middles]], levels
     noise = NoiseLevel(
         mean_edges=level,
-        low=0.0 if readings[0].probability < MIN_PROBABILITY else low,
-        high=max(verdict.high, verdict.level),
+        low=low,
+        high=high,
         file_units=level * white.edge,
         rms_edges=max(verdict.level, white.rms),
         tail=white.tail,
         is_negligible=False,
-        lowest=level,
-        highest=level,
-        regions=len(white.regions),
+        lowest=lowest,
+        highest=max(highest, level),
+        regions=n_regions,
         character=character,
         readings=readings,
     )
-    if character.kind == "uneven" and evidence.differences is not None:
-        differences = evidence.differences
-        scale = level * white.edge / np.sqrt(max(weigh_differences(differences), 1e-300))
-        regions = scale * np.sqrt(differences.lows)
-        lowest, highest = float(regions.min()) / white.edge, float(regions.max()) / white.edge
-        middles = mesh.vertices[evidence.survey.vertices[differences.middles]]
-        noise = dataclasses.replace(
-            noise,
-            low=min(noise.low, lowest),
-            lowest=lowest,
-            high=max(noise.high, highest),
-            highest=max(highest, level),
-            regions=len(regions),
-        )
-        return Estimate(noise, (middles, regions))
-    return Estimate(noise)
+    return Estimate(noise, regions)
 
 
 def _is_in_pieces(mesh: Mesh) -> bool:
@@ -562,7 +542,9 @@ def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence, is_named: bool) -
     if is_named and verdict.kind == "view" and evidence.axis is not None:
         is_open = mesh.topology.boundary.mean() > MAX_OPEN
         return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)
-    is_bent = (is_named and verdict.kind not in BENDING) or not has_flat_edges(mesh)
+    # Noise of other kinds may leave edges flat.
+    may_bend = not is_named or verdict.kind in ("white", "isotropic", "correlated")
+    is_bent = not may_bend or not has_flat_edges(mesh)
     return is_bent or (verdict.noise >= SURE_SPREAD and _is_rounded(mesh))
 
 

@@ -23,12 +23,9 @@ from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
-MAX_GROUPS = 24
-"""Largest number of groups of places with similar normals."""
-
-MIN_IN_GROUP = 8
-MIN_PLACES = 60
-"""Places that are needed to measure an axis."""
+MAX_GROUPS, MIN_IN_GROUP, MIN_PLACES = 24, 8, 60
+"""Largest number of groups of places with similar normals, and the places that a group and an axis
+need."""
 
 LOW_SHARE = 0.25
 """Quantile of the variances of a group that is its level; these places count as flat."""
@@ -52,18 +49,14 @@ HOPELESS = 0.4
 TURNS = (0.3, 0.15, 0.08, 0.04)
 """Tangents of the angles by which an axis is turned to refine it."""
 
-
 CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
 """An axis is clear if tangential displacements along it are at least this share of the level, and
 so many times those across it."""
 
-PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
+PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST, MAX_EXCESS = 0.5, 0.35, 1.35, 1.4
 """For an axis with a larger gain than the first, which texture and uneven noise do not reach, the
-other two are the bounds of displacements and contrast."""
-
-MAX_EXCESS = 1.4
-"""Largest displacement along the axis over the level with which the lower bound of the contrast
-applies; more is no noise."""
+next two are these bounds; the lower contrast only up to the last ratio of displacement and level,
+above which there is no noise."""
 
 MIN_OF_SLIDE = 0.85
 """The level is at least this share of that displacement."""
@@ -311,11 +304,9 @@ def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
 
 # Depths in steps
 
-MIN_STEP = 0.05
-"""Mean edge lengths: shorter steps come from the digits of the file, and are negligible."""
-
-SAME = 2e-3
-"""Mean edge lengths below which two depths are equal."""
+MIN_STEP, SAME = 0.05, 2e-3
+"""Mean edge lengths: shorter steps come from the digits of the file, and are negligible; and those
+below which two depths are equal."""
 
 FIRST_SHARE = 0.02
 """Share of the differences that may be less than a step for other reasons."""
@@ -326,24 +317,18 @@ that have to be multiples."""
 
 MIN_DIFFERENCES = 100
 
-OBLIQUE = (0.05, 0.95)
-"""Squared cosines to the axis between which a place is oblique and shows terraces."""
+OBLIQUE, MIN_OBLIQUE = (0.05, 0.95), 0.08
+"""Squared cosines to the axis between which a place is oblique and shows terraces, and the share of
+such places above which the others do not count."""
 
-MIN_OBLIQUE = 0.08
-"""Share of oblique places above which the others do not count."""
-
-
-PARALLEL = 1e-6
-"""Edges are parallel if the absolute cosine of their angle is at least 1 minus this."""
+PARALLEL, ACROSS = 1e-6, 2e-3
+"""Edges are parallel if the absolute cosine of their angle is at least 1 minus the first, and axes
+of a grid have at most the second."""
 
 MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
 """Number of edges whose directions are counted; number of the most frequent directions whose pairs
 are tried, which is that of marching cubes along axes and diagonals; and the smallest share of edges
 that such directions have."""
-
-ACROSS = 2e-3
-"""Largest cosine between axes of a grid."""
-
 
 MAX_PAIRS, MAX_COMPARED, MAX_STEP_AXES = 200, 400, 4
 """Number of pairs of edges whose planes are tried as planes of equal depth, number of edges that

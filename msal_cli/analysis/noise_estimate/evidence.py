@@ -78,48 +78,36 @@ FREEDOMS = np.array(
 )
 """Degrees of freedom of the chi-square distribution with the same mean and variance (r, fit)."""
 
-FLOOR, FLAT = 0.05, 0.2
-"""Quantiles of the variances by which the level at each scale is estimated."""
-
-SEEN = 0.35
-"""The quantile of places without creases and texture that ``FLAT`` of all usually is."""
+FLOOR, FLAT, SEEN = 0.05, 0.2, 0.35
+"""Quantiles of the variances by which the level at each scale is estimated, and the quantile of
+places without creases and texture that ``FLAT`` of all usually is."""
 
 WEIGHTS = np.array([0.0, 1.0, 1.0, 1.0, 0.7])
 """Weights of the fits.  That over one ring follows most of the noise itself, and has 0."""
 
-ABOVE = np.array([0.6, 0.6, 0.5, 0.25, 0.08])
-"""Weight of variance above the expected one, by fit; variance below it has weight 1.  The surface
-adds to the residual variance, and never reduces it."""
-
-MAX_ABOVE = 0.5
-"""Largest squared error that counts for variance above the expected one."""
+ABOVE, MAX_ABOVE = np.array([0.6, 0.6, 0.5, 0.25, 0.08]), 0.5
+"""Weight of variance above the expected one, by fit, and its largest squared error that counts;
+variance below it has weight 1.  The surface adds to the residual variance, and never reduces it."""
 
 FINE = np.array([0.97, 0.79, 0.40, 0.27, 0.20])
-FINE_WEIGHT, MAX_FINE = 0.1, 0.03
+WHITE_FINE, FINE_WEIGHT, MAX_FINE = 0.88, 0.1, 0.03
 """The level of white noise over the level by the fit over two rings, by the number of averages,
-measured with noise of 0.2 on 12 shapes; the weight of the squared error of its logarithm, and the
-largest value that counts."""
-
-WHITE_FINE = 0.88
-"""The same ratio above which noise is not correlated."""
+measured with noise of 0.2 on 12 shapes; the ratio above which noise is not correlated; the weight
+of the squared error of its logarithm, and the largest value that counts."""
 
 MIN_RISE = 1.2
 """Smallest ratio of the levels by fits over four and over two rings that correlated noise has."""
 
-PER_RING = 0.02
-"""Reduction of the misfit that one more ring needs, because the surface looks like more rings."""
-
-DOUBT = 0.006
-"""Difference of misfits that divides the weight of a number of rings in the level by e."""
-
-SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
-"""Smallest ratios of standard deviations at the quantiles ``FLOOR`` and ``FLAT``, by fit, of noise
-of any kind; texture and shape are below one of them."""
-
+PER_RING, DOUBT = 0.02, 0.006
+"""Reduction of the misfit that one more ring needs, because the surface looks like more rings; and
+the difference that divides the weight of a number of rings in the level by e."""
 
 LOUD_LEVEL = 0.12
+SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
 SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
-"""The same for levels above ``LOUD_LEVEL`` mean edge lengths, which fine texture seldom has."""
+"""Smallest ratios of standard deviations at the quantiles ``FLOOR`` and ``FLAT``, by fit, of noise
+of any kind; texture and shape are below one of them.  The latter are for levels above
+``LOUD_LEVEL`` mean edge lengths, which fine texture seldom has."""
 
 PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
 """Sharpness, by fit, that repeating patterns exceed and correlated noise does not."""
@@ -213,13 +201,10 @@ def find_colour(
 MAX_REGIONS, MIN_PLACES = 16, 20
 """Largest number of regions of the survey, and the vertices that each has on average at least."""
 
-REGION_SHARES = (0.1, 0.3, 0.4, 0.5)
-"""Quantiles of the variances of a region: the first and the last for ``PURE``, the second for the
-region's level, the third for its share in the level of the mesh."""
-
-PURE = 0.3
-"""Smallest ratio of the 10 % to the 50 % quantile of the variances in a region that is not split
-between a quiet and a noisy part."""
+REGION_SHARES, PURE = (0.1, 0.3, 0.4, 0.5), 0.3
+"""Quantiles of the variances of a region: the second is for its level, the third for its share in
+the level of the mesh.  The ratio of the first to the last is at least ``PURE`` in a region that is
+not split between a quiet and a noisy part."""
 
 LOUD_SHARE = 0.16
 """Regions with less than this share of the largest variance are quiet."""

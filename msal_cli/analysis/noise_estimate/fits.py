@@ -195,39 +195,24 @@ MARGIN = 1.03
 """Factor of the levels by fits over one-rings, which scatter because they have few degrees of
 freedom: without it the smallest of several levels would be too low."""
 
-TEXTURE = 0.5
+TEXTURE, TEXTURE_BOUND, MAX_TEXTURE = 0.5, 2.0, 0.75
 """Variance of texture in the best fit, as a share of the additional variance of the next coarser
-fit; measured on clean scans."""
+fit: measured on clean scans, and for the lower end of the interval; and the largest share of the
+variance that counts as texture."""
 
-MAX_TEXTURE = 0.75
-"""Largest share of the variance that counts as texture."""
+TOO_MUCH, TOO_LITTLE, SPREAD = 0.1, 0.05, 0.1
+"""Shares of the level that the lower end of the interval allows for creases among the flattest
+places, and the upper end for errors of normals by noise and for undetected spikes."""
 
-TEXTURE_BOUND = 2.0
-"""As ``TEXTURE``, for the lower end of the interval."""
-
-TOO_MUCH = 0.1
-"""Share of the level that the lower end allows for creases among the flattest places."""
-
-TOO_LITTLE = 0.05
-"""Share of the level that the upper end allows for errors of normals by noise."""
-
-FAR_OUT = 0.01
-"""Share of the vertices in the tail under Gaussian noise."""
-
-MIN_TAIL = 0.008
-"""Excess of the tail over ``FAR_OUT`` above which noise is impulsive."""
-
-FAR_OUT_EXCESS = 0.08
-"""Excess variance of the vertices in the tail under Gaussian noise, as a share of its variance."""
+FAR_OUT, FAR_OUT_EXCESS, MIN_TAIL = 0.01, 0.08, 0.008
+"""Share of the vertices in the tail under Gaussian noise; their excess variance as a share of that
+of the noise; and excess of the tail above which noise is impulsive."""
 
 NEGLIGIBLE = 0.005
 """Levels below it, mean edge lengths, are invisible."""
 
 DOUBTFUL = 0.05
 """Mean edge lengths: an interval from 0 to less is negligible, because all may be texture."""
-
-SPREAD = 0.1
-"""Share of the level that the upper end allows for undetected spikes."""
 
 VERTICES_PER_REGION, MAX_REGIONS, MIN_PLACES = 800, 16, 48
 """Vertices per region, the largest number of regions, and the places that a region needs."""

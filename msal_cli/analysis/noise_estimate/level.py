@@ -10,17 +10,13 @@ from msal_cli.light_dataclass import dataclass
 SURE = 0.025
 """Mean edge lengths: if the upper end of the interval is below, there is certainly no noise."""
 
-SPIKES = 0.07
-"""Root mean square, mean edge lengths, from which spikes count as noise."""
+SPIKES, MIN_SPIKES = 0.07, 0.005
+"""Spikes count as noise from this root mean square, mean edge lengths, and share of the vertices.
+"""
 
-MIN_SPIKES = 0.005
-"""Share of the vertices that must be spikes for them to count as noise."""
-
-UNEVEN = 2.0
-"""Ratio of the levels of the most and the least noisy region above which noise is uneven."""
-
-MIN_UNEVEN = 0.05
-"""Level of the most noisy region, mean edge lengths, that uneven noise needs at least."""
+UNEVEN, MIN_UNEVEN = 2.0, 0.05
+"""Noise is uneven above this ratio of the levels of the most and the least noisy region, if the
+former is above the second number, mean edge lengths."""
 
 KINDS = (
     "none",
@@ -38,7 +34,6 @@ KINDS = (
 
 NOISE, TEXTURE = "noise", "texture"
 """The kinds of a ``Reading``: what the roughness of a mesh may be."""
-
 
 MIN_PROBABILITY = 0.9
 """Probability from which a kind of reading is not in doubt."""
