@@ -1,11 +1,13 @@
 """What msal changes on clean files of others, and what it sees once noise is added to them.
 
-    python -m benchmarks.clean_files FOLDER [--most N]
+    python -m benchmarks.clean_files FOLDER [--most N] [--parts N]
 
 FOLDER holds models that have no noise, in any of the formats.  A file passes if ``msal denoise``
 moves it by less than 0.01 mean edge lengths in the mean and 0.1 at most, and turns its normals by
 less than 0.5 degrees in the mean.  Then noise is added to up to N files, at most ``PER_FOLDER`` of
-a folder, for many are variants of one design.  docs/noise.md has the figures.
+a folder, for many are variants of one design.  With ``--parts`` only N parts of each file are
+denoised, cut out around random faces: sculptures are closed, their parts are open and face one way.
+docs/noise.md has the figures.
 """
 
 from __future__ import annotations
@@ -22,10 +24,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import MsalError
 from msal_cli.mesh import Mesh
 
@@ -36,6 +40,11 @@ MIN_VERTICES, MAX_VERTICES, LARGE = 400, 40_000, 1_500
 """Vertices of the meshes that get noise, and from which one counts as large."""
 
 PER_FOLDER = 24
+
+PART_VERTICES = 1_000, 40_000
+"""Vertices of a part, if that is no more than half of the mesh."""
+
+COMMANDS = {"plain command": [], "--auto": ["--auto"]}
 
 SEED = 1
 KINDS = {
@@ -81,6 +90,36 @@ def write_changes(label: str, records: list[dict[str, Any]]) -> str:
             f"degrees; {record['choice']['reason']} ({noise['kind']})"
         )
     return "\n".join(lines)
+
+
+def cut_parts(mesh: Mesh, count: int) -> Iterator[tuple[Floats, Ints]]:
+    """Parts of the mesh, of up to half of its vertices: positions (n, 3) and faces (m, 3)."""
+    generator = np.random.default_rng(SEED)
+    for _ in range(count):
+        middle = mesh.vertices[mesh.faces[generator.integers(len(mesh.faces))]].mean(axis=0)
+        away = np.sqrt(((mesh.vertices - middle) ** 2).sum(axis=1))
+        size = int(np.exp(generator.uniform(*np.log(PART_VERTICES))))
+        inside = away <= np.sort(away)[min(size, len(away) // 2)]
+        used, faces = np.unique(mesh.faces[inside[mesh.faces].all(axis=1)], return_inverse=True)
+        yield mesh.vertices[used], faces.reshape(-1, 3)
+
+
+def write_parts(folder: Path, count: int) -> str:
+    """What both commands change on ``count`` parts of each mesh in ``folder``."""
+    with tempfile.TemporaryDirectory() as target:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            try:
+                parts = list(cut_parts(ground_truth.opened(path), count))
+            except (MsalError, ValueError):
+                continue
+            for number, (points, faces) in enumerate(parts):
+                trimesh.Trimesh(points, faces, process=False).export(
+                    f"{target}/{path.stem}_{number}.ply"
+                )
+        return "\n\n".join(
+            write_changes(f"parts, {label}", read_records(Path(target), options))
+            for label, options in COMMANDS.items()
+        )
 
 
 def meshes(folder: Path, most: int) -> Iterator[Mesh]:
@@ -142,9 +181,13 @@ def main(words: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--most", type=int, default=1_000)
+    parser.add_argument("--parts", type=int, default=0)
     arguments = parser.parse_args(words)
     print(machine.line(), end="\n\n")
-    for label, options in (("plain command", []), ("--auto", ["--auto"])):
+    if arguments.parts:
+        print(write_parts(arguments.folder, arguments.parts))
+        return
+    for label, options in COMMANDS.items():
         print(write_changes(label, read_records(arguments.folder, options)), end="\n\n")
     found = [
         (kind, len(mesh.vertices) >= LARGE, estimate_noise(noisy))
