@@ -27,6 +27,7 @@ from msal_cli.analysis.noise_estimate.evidence import (
     FACING_SHARE,
     LEVELS,
     MISSING,
+    OF_CLOSED,
     REGULAR_SHARE,
     SIZE,
     Evidence,
@@ -52,7 +53,6 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     Reading,
 )
-from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.faces import dihedral_angles, flaps
@@ -168,9 +168,6 @@ MAX_SLIDE = 1.6
 """Largest ratio of the level by tangential displacements along the axis to the level by residuals:
 noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 
-MAX_PATTERNED = 0.3
-"""Largest probability of noise if nearly all of the residual is a repeating pattern; terraces and
-quantised depths are excepted, because they repeat too."""
 
 SURE_FIELD = 0.995
 """Probability that noise along an axis needs on decimated height fields: up to 0.993 on 23 without
@@ -329,13 +326,23 @@ def measured_level(numbers: Floats, kind: str, rings: int) -> float:
     return value if value > MISSING else float(numbers[LEVELS.index("white")])
 
 
-def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
-    """Classify the noise by the features (k,) of a mesh.  Kinds below ``least`` are excluded."""
+def _find_chances(numbers: Floats) -> Floats:
+    """The probability of each kind for the features (k,) of a mesh."""
     trained = load_classifier()
     sums = trained.sharpness * trained.kinds.evaluate(numbers)
     sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
     chances = np.exp(sums - sums.max())
-    chances /= chances.sum()
+    return np.asarray(chances / chances.sum())
+
+
+def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
+    """Classify the noise by the features (k,) of a mesh.  Kinds below ``least`` are excluded.
+
+    That the mesh is open and faces one way does not make noise more probable, unless it is along
+    the view and not correlated.
+    """
+    trained = load_classifier()
+    chances = _find_chances(numbers)
     by_kind = {
         name: float(chance)
         for name, chance in zip(KIND_NAMES, chances, strict=True)
@@ -345,15 +352,22 @@ def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
     index = KIND_NAMES.index(kind)
     shared = float(trained.rings.evaluate(numbers)[0])
     rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
+    noise = 1.0 - float(chances[0])
+    if kind != "view" or rings:
+        # Range scans are open and face one way, and so are parts of a sculpture, whose relief may
+        # look like any noise but that of single vertices along the view.
+        closed = numbers.copy()
+        closed[list(OF_CLOSED)] = list(OF_CLOSED.values())
+        noise = min(noise, 1.0 - float(_find_chances(closed)[0]))
     measured = level = measured_level(numbers, kind, rings)
     if kind in CORRECTED:
         level = measured_level(numbers, kind, MAX_RINGS)
         level += float(trained.levels.evaluate(numbers)[CORRECTED.index(kind)])
     level = math.exp(level)
     return Verdict(
-        noise=1.0 - float(chances[0]),
+        noise=noise,
         kind=kind,
-        probability=by_kind[kind],
+        probability=by_kind[kind] * noise / float(chances[1:].sum()),
         measured=math.exp(measured),
         level=level,
         low=level * min(float(trained.spreads[index, 0]), 1.0),
@@ -412,10 +426,6 @@ def characterize(mesh: Mesh) -> Estimate:
         return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
-    has_steps = verdict.kind in ("staircase", "quantised") or evidence.steps.n_axes == 3
-    if not has_steps and is_patterned(mesh, evidence.survey):
-        probability = min(verdict.noise, MAX_PATTERNED)
-        return _without_noise(white, 1.0 - probability, "shape that repeats", measured)
     character = NoiseCharacter(
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
     )

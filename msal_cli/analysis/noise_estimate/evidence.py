@@ -311,6 +311,9 @@ FACING_SHARE, REGULAR_SHARE = SIZE + 3, SIZE + 4
 """Indices of the features that are the share of normals within 90 degrees of their mean, and the
 share of vertices of valence 6."""
 
+OF_CLOSED = {SIZE + 1: 0.0, SIZE + 2: 0.02, FACING_SHARE: 0.5}
+"""The features of the border and of the directions of the normals, by index, of a closed mesh."""
+
 EDGE_LENGTHS = SIZE + 8, SIZE + 12
 """Indices of the features that are logarithms of the 5 % and 95 % quantiles of the edge lengths."""
 
