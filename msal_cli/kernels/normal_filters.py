@@ -63,41 +63,26 @@ def distance_exponents(
 
 @compiled
 def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, result):
-    """n normals, flat like the result; exponents and ``falloff`` are those of powers of two.
-
-    Faces are processed in blocks: the exponents of all, then all powers as vector code, then the
-    sums.
-    """
-    stop = np.uint64(stop)
-    weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, ring_start))))
-    capacity = np.uint64(len(weight))
-    f = np.uint64(start)
-    while f < stop:
-        first = f
-        origin = np.uint64(ring_start[f])
-        while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
-            own = vec.load(n, f)
-            least = np.inf
-            for at in vec.row_range(ring_start, f):
-                # |n_f - n_g|^2 = 2 - 2 n_f . n_g of unit vectors.
-                exponent = exponents[at] + (1.0 - vec.dot(own, vec.load(n, ring[at]))) * falloff
-                weight[at - origin] = exponent
-                least = min(least, exponent)
-            # Scaled so that the largest Gaussian is 1: the direction of the sum is the same, and
-            # the sum cannot underflow.
-            for at in vec.row_range(ring_start, f):
-                weight[at - origin] = least - weight[at - origin]
-            f += ONE
-        for at in range(np.uint64(ring_start[f]) - origin):
-            weight[at] = vec.power_of_two(weight[at])
-        for i in range(first, f):
-            total, weights = vec.ORIGIN, 0.0
-            for at in vec.row_range(ring_start, i):
-                w = weight[at - origin]
-                weights += w
-                total = vec.add_scaled(total, w, vec.load(n, ring[at]))
-            least = np.inf if vec.is_zero(vec.load(n, i)) else VANISHED * weights
-            vec.write_unit(total, least, n, i, result)
+    """n normals, flat like the result; exponents and ``falloff`` are those of powers of two."""
+    weight = np.empty(np.int64(longest_row(start, stop, ring_start)))
+    for f in range(np.uint64(start), np.uint64(stop)):
+        origin, count = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE] - ring_start[f])
+        own, least = vec.load(n, f), np.inf
+        for at in range(count):
+            # |n_f - n_g|^2 = 2 - 2 n_f . n_g of unit vectors.
+            other = vec.load(n, ring[origin + at])
+            weight[at] = exponents[origin + at] + (1.0 - vec.dot(own, other)) * falloff
+            least = min(least, weight[at])
+        # Scaled so that the largest Gaussian is 1: the direction of the sum is the same, and the
+        # sum cannot underflow.
+        for at in range(count):
+            weight[at] = vec.power_of_two(least - weight[at])
+        total, weights = vec.ORIGIN, 0.0
+        for at in range(count):
+            weights += weight[at]
+            total = vec.add_scaled(total, weight[at], vec.load(n, ring[origin + at]))
+        least = np.inf if vec.is_zero(own) else VANISHED * weights
+        vec.write_unit(total, least, n, f, result)
 
 
 def bilateral_averages(
@@ -146,36 +131,27 @@ def _average_jointly(
 ):
     """n normals, g guides, c centroids, flat; squares are multiplied by -1 / (2 sigma^2 ln 2).
 
-    Faces are processed in blocks: the exponents of all, then all powers as vector code, then the
-    sums.  Indices are unsigned, so that they need no test of their sign.
+    Indices are unsigned, so that they need no test of their sign.
     """
-    stop = np.uint64(stop)
-    weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, near_start))))
-    area = np.empty_like(weight)
-    capacity = np.uint64(len(weight))
-    i = np.uint64(start)
-    while i < stop:
-        first = i
-        origin = np.uint64(near_start[i])
-        while i < stop and near_start[i + ONE] - origin <= capacity:
-            own, guide = vec.load(c, i), vec.load(g, i)
-            for at in vec.row_range(near_start, i):
-                k = np.uint64(near[at])
-                exponent = per_distance * vec.square_distance(vec.load(c, k), own)
-                exponent += per_guide * vec.square_distance(vec.load(g, k), guide)
-                weight[at - origin] = exponent
-                area[at - origin] = areas[k]
-            i += ONE
-        for at in range(near_start[i] - origin):
-            weight[at] = area[at] * vec.power_of_two(weight[at])
-        for f in range(first, i):
-            weights = areas[f]
-            total = vec.times(weights, vec.load(n, f))
-            for at in vec.row_range(near_start, f):
-                w = weight[at - origin]
-                total = vec.add_scaled(total, w, vec.load(n, near[at]))
-                weights += w
-            vec.write_unit(total, VANISHED * weights, n, f, result)
+    weight = np.empty(np.int64(longest_row(start, stop, near_start)))
+    for f in range(np.uint64(start), np.uint64(stop)):
+        origin, count = near_start[f], near_start[f + ONE] - near_start[f]
+        own, guide = vec.load(c, f), vec.load(g, f)
+        for at in range(count):
+            k = np.uint64(near[origin + at])
+            exponent = per_distance * vec.square_distance(vec.load(c, k), own)
+            exponent += per_guide * vec.square_distance(vec.load(g, k), guide)
+            weight[at] = exponent
+        for at in range(count):
+            weight[at] = vec.power_of_two(weight[at])
+        weights = areas[f]
+        total = vec.times(weights, vec.load(n, f))
+        for at in range(count):
+            k = np.uint64(near[origin + at])
+            w = areas[k] * weight[at]
+            total = vec.add_scaled(total, w, vec.load(n, k))
+            weights += w
+        vec.write_unit(total, VANISHED * weights, n, f, result)
 
 
 def joint_bilateral(
