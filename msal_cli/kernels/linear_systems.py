@@ -173,13 +173,8 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         c4 = s_two / both
         c3 = -(c2 * at_two + c4 * at_four)
         c1 = -1.0 - c3
-        largest = max(abs(c1), abs(c3))
-        if largest > MAX_COEFFICIENT:
-            scale = MAX_COEFFICIENT / largest
-            c1 *= scale
-            c2 *= scale
-            c3 *= scale
-            c4 *= scale
+        scale = MAX_COEFFICIENT / max(abs(c1), abs(c3), MAX_COEFFICIENT)
+        c1, c2, c3, c4 = scale * c1, scale * c2, scale * c3, scale * c4
         coefficients[e, 0], coefficients[e, 1], coefficients[e, 2] = c1, c2, c3
         coefficients[e, 3] = c4
         # With p1 as origin the sum is as exact as the edges are.

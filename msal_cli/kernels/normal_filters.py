@@ -29,6 +29,8 @@ from msal_cli.kernels.quantiles import PER_MEDIAN, median
 from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
 from msal_cli.light_dataclass import dataclass
 
+OnPass = Callable[[], object]
+
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces in a block, whose data fit a first-level cache."""
 
@@ -94,7 +96,7 @@ def bilateral_averages(
     closeness: float,
     similarity: float,
     passes: int,
-    on_pass: Callable[[], object],
+    on_pass: OnPass,
 ) -> Floats:
     """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
 
@@ -111,11 +113,7 @@ def bilateral_averages(
 
 
 def _repeat(
-    kernel: Kernel,
-    normals: Floats,
-    known: tuple[object, ...],
-    passes: int,
-    on_pass: Callable[[], object],
+    kernel: Kernel, normals: Floats, known: tuple[object, ...], passes: int, on_pass: OnPass
 ) -> Floats:
     for _ in range(passes):
         result = np.empty_like(normals)
@@ -199,12 +197,7 @@ def _average_similar(start, stop, n, threshold, ring_start, ring, result):
 
 
 def threshold_averages(
-    normals: Floats,
-    ring_start: Ints,
-    ring: Ints,
-    threshold: float,
-    passes: int,
-    on_pass: Callable[[], object],
+    normals: Floats, ring_start: Ints, ring: Ints, threshold: float, passes: int, on_pass: OnPass
 ) -> Floats:
     """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
 
@@ -327,7 +320,7 @@ def diffused_normals(
     similarity: float,
     time_step: float,
     steps: int,
-    on_step: Callable[[], object],
+    on_step: OnPass,
 ) -> Floats:
     """Unit face normals (m, 3) after ``steps`` steps from those of the mesh.
 
@@ -549,7 +542,7 @@ def minimising_normals(
     nu: float,
     tolerance: float,
     most_steps: int,
-    on_step: Callable[[], object],
+    on_step: OnPass,
 ) -> Floats:
     """Unit normals (m, 3) near a minimum of E, from ``normals`` (m, 3), which are n0.
 
