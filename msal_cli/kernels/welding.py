@@ -54,28 +54,18 @@ def _alike_perhaps(bits, used, seen, again, candidates):
 
 
 @compiled
-def _weld(rows, bits, candidates, highs, table, first):
-    """``highs`` has the upper half of each candidate's hash, so that few other rows are read."""
+def _weld(rows, bits, candidates, table, first):
     mask = len(table) - 1
     merged = 0
-    for at in range(len(candidates)):
-        i = candidates[at]
-        code = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2])
-        high = np.uint32(code >> np.uint64(32))
-        highs[at] = high
-        slot = np.int64(code >> np.uint64(20)) & mask
-        while True:
-            other = table[slot]
-            if other < 0:
-                table[slot] = at
-                break
-            if highs[other] == high:
-                k = candidates[other]
-                if vec.load(rows, k) == vec.load(rows, i):
-                    first[i] = k
-                    merged += 1
-                    break
+    for i in candidates:
+        slot = np.int64(hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
+        while table[slot] >= 0 and vec.load(rows, table[slot]) != vec.load(rows, i):
             slot = (slot + 1) & mask
+        if table[slot] < 0:
+            table[slot] = i
+        else:
+            first[i] = table[slot]
+            merged += 1
     return merged
 
 
@@ -99,8 +89,7 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
         return first, 0
     # At least twice the rows, so that probing stays short.
     table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
-    highs = np.empty(count, dtype=np.uint32)
-    return first, int(_weld(rows, bits, candidates[:count], highs, table, first))
+    return first, int(_weld(rows, bits, candidates[:count], table, first))
 
 
 @compiled
@@ -138,18 +127,15 @@ def _number(left, right, table, number, first):
     for i in range(len(left)):
         a, b = left[i], right[i]
         slot = np.int64(hash_bits(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
-        while True:
-            k = table[slot]
-            if k < 0:
-                table[slot] = found
-                number[i] = found
-                first[found] = i
-                found += 1
-                break
-            if left[first[k]] == a and right[first[k]] == b:
-                number[i] = k
-                break
+        k = table[slot]
+        while k >= 0 and (left[first[k]] != a or right[first[k]] != b):
             slot = (slot + 1) & mask
+            k = table[slot]
+        if k < 0:
+            k = table[slot] = found
+            first[found] = i
+            found += 1
+        number[i] = k
     return found
 
 
