@@ -34,6 +34,9 @@ _COLUMNS = (
     ("Hausdorff", "hausdorff_edges", ".3g", " e"),
 )
 
+_INTERSECTING = ("intersecting", "self_intersections.after", ",", "")
+"""The same for pairs of faces that intersect after, where they were counted."""
+
 BASELINE_FIGURES = (
     "mean_angular_error_deg",
     "vertex_error_percent",
@@ -68,11 +71,13 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
     """A row for every pair, then the failures; lengths in mean edge lengths."""
     compared = [record for record in records if record.error is None]
     if compared:
+        is_counted = any(record.self_intersections for record in compared)
+        columns = (*_COLUMNS, _INTERSECTING) if is_counted else _COLUMNS
         rows = [
-            [figure(value_at(record, path), form, unit, "-") for _, path, form, unit in _COLUMNS]
+            [figure(value_at(record, path), form, unit, "-") for _, path, form, unit in columns]
             for record in compared
         ]
-        heads = ("after", *(column[0] for column in _COLUMNS))
+        heads = ("after", *(column[0] for column in columns))
         yield from table_lines(heads, [file_name(record.after) for record in compared], rows, width)
     for record in compared:
         for text in record.warnings:
