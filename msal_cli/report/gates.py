@@ -107,14 +107,17 @@ class Quantity:
     def why_unknown(self, record: Any) -> str:
         """Why a record has no value, as text."""
         volume, why = record.volume, ""
+        compared = record.reference if self.part == "reference" else record
         if volume is not None and not volume.valid and "volume" in self.path:
             why = volume.reason or "the volume means nothing"
         elif self.part == "reference" and record.reference is None:
             why = "nothing was measured against a reference"
         elif self.part == "reference" and record.reference.error is not None:
             why = record.reference.error.message
-        elif self.part == "self_intersections":
+        elif self.part == "self_intersections" and record.self_intersections is None:
             why = "count them with --check self-intersections"
+        elif getattr(compared, "correspondence", None) == "surface":
+            why = "the faces are not the same"
         elif self.part in ("tile_gap", "tile_set"):
             why = "files are denoised as one with --tile-set"
         elif self.part == "choice":

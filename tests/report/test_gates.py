@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msal_cli.errors import UsageError
-from msal_cli.job.records import Area, MeshRecord, NormalChange, Volume
+from msal_cli.job.records import Area, MeshRecord, NormalChange, Reference, Volume
 from msal_cli.report.gates import (
     MAX_LENGTH,
     evaluate_gates,
@@ -133,6 +133,9 @@ def test_what_is_not_known_breaks_a_gate_with_its_reason():
     bare = MeshRecord("a.ply", "up-to-date")
     assert "flipped_faces is not known" in result("flipped_faces > 0", bare).reason
     assert not result("max_displacement > 0.5e", bare).decided
+    other = dataclasses.replace(bare, reference=Reference("true.ply", "surface"))
+    found = result("reference.flipped_faces > 0", other)
+    assert found.reason == "reference.flipped_faces is not known: the faces are not the same"
 
 
 @pytest.mark.parametrize(
