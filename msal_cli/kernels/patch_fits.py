@@ -92,30 +92,6 @@ def collect_patch(i, ring_start, ring, found, ends, slots):
 
 
 @compiled
-def collect_near(i, normal, reach, vertices, normals, ring_start, ring, met, found):
-    """Collect vertex i and those near it by breadth-first search in ``found``; their number.
-
-    They are within ``reach`` of it, and their ``normals`` (n, 3) less than a right angle from
-    ``normal`` (3,).  The search ends if ``found`` is full.  ``met`` (n,) is False everywhere,
-    before and after.
-    """
-    found[0], met[i] = i, True
-    at, count = 0, 1
-    while at < count and count < len(found):
-        for entry in range(ring_start[found[at]], ring_start[found[at] + 1]):
-            k = ring[entry]
-            is_near = vec.square_distance(vec.load(vertices, k), vec.load(vertices, i)) < reach**2
-            is_facing = vec.dot(vec.load(normals, k), (normal[0], normal[1], normal[2])) > 0.0
-            if count < len(found) and not met[k] and is_near and is_facing:
-                found[count], met[k] = k, True
-                count += 1
-        at += 1
-    for at in range(count):
-        met[found[at]] = False
-    return count
-
-
-@compiled
 def find_tangents(normal):
     """Two orthogonal unit vectors in the tangent plane of a unit normal, the first one orthogonal
     to the coordinate axis that is farthest from the normal."""

@@ -14,7 +14,6 @@ from msal_cli.kernels.geometry import (
     surface_figures,
     vertex_normals,
 )
-from msal_cli.kernels.patch_fits import collect_near
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import noisy, torus
 
@@ -84,15 +83,9 @@ def test_faces_without_a_normal_before_or_after_have_no_angle():
     assert figures[COMPARED] == figures[FLIPPED] == 1
 
 
-def test_what_is_looked_for_around_vertices_is_what_numpy_finds():
+def test_parallel_normals_are_those_that_numpy_finds():
     vertices, faces = torus()
-    mesh = prepare_mesh(noisy(vertices, level=0.02), faces).mesh
-    x, normals, (starts, ring) = mesh.vertices, mesh.vertex_normals(), mesh.topology.one_ring
+    normals = prepare_mesh(noisy(vertices, level=0.02), faces).mesh.vertex_normals()
     counts, turned = np.empty(9, dtype=np.int64), np.ascontiguousarray(normals.T)
     count_parallel(normals[:9].copy(), turned, 0.9, counts)
     assert counts.tolist() == (np.abs(normals[:9] @ turned) > 0.9).sum(axis=1).tolist()
-    met, found = np.zeros(len(x), dtype=bool), np.empty(90, dtype=np.int64)
-    count = collect_near(5, normals[5], 1.5, x, normals, starts, ring, met, found)
-    is_near = (np.linalg.norm(x - x[5], axis=1) < 1.5) & (normals @ normals[5] > 0.0)
-    assert sorted(found[:count]) == np.flatnonzero(is_near).tolist() and not met.any()
-    assert collect_near(5, normals[5], 1.5, x, normals, starts, ring, met, found[:7]) == 7
