@@ -154,7 +154,8 @@ def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
     if noise.kind in ("view", "grazing"):
         growth = grazing_growth(normals, axis) if noise.kind == "grazing" else 1.0
         return mesh.vertices + (growth * heights)[:, None] * axis
-    heights *= _regional_weights(mesh, noise, axis)
+    if noise.kind in ("half", "ramp"):
+        heights *= _regional_weights(mesh, noise, axis)
     result = mesh.vertices + heights[:, None] * normals
     if noise.kind == "outliers":
         moved = draw.permutation(n)[: round(noise.fraction * n)]
@@ -178,9 +179,7 @@ def grazing_growth(normals: Floats, axis: Floats) -> Floats:
 
 
 def _regional_weights(mesh: Mesh, noise: AddedNoise, axis: Floats) -> Floats:
-    """Factors (n,) of the heights: for ``half`` and ``ramp`` by position along the axis, else 1."""
-    if noise.kind not in ("half", "ramp"):
-        return np.ones(len(mesh.vertices))
+    """Factors (n,) of the heights of ``half`` and ``ramp``, by position along the axis."""
     depths = (mesh.vertices * axis).sum(axis=1)
     used = depths[mesh.topology.has_ring]
     low, extent = float(used.min()), float(np.ptp(used))

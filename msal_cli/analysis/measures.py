@@ -122,9 +122,8 @@ def local_scale(mesh: Mesh, normals: Floats) -> Floats:
     """
     from msal_cli.kernels.operators import RingOperator
 
-    links = mesh.topology
     free = np.ones(len(mesh.vertices), dtype=bool)
-    laplacian = RingOperator(normals, links.ring_start, links.ring, free, mesh.mean_edge_length)
+    laplacian = RingOperator(normals, *mesh.topology.one_ring, free, mesh.mean_edge_length)
     sigma = laplacian(mesh.vertices).sigma
     assert sigma is not None
     return sigma
@@ -391,13 +390,12 @@ def _inward_parts(mesh: Mesh) -> tuple[Flags | None, int]:
 
 # Damage
 #
-# Two rules apply at any level of noise.  A change is harmful if the volume of a closed surface
-# changed by more than half; or if more faces flipped (turned by more than a right angle) than 2 %
-# of all plus 1.5 for each face that was folded before.  Strong tangential noise folds faces over,
-# and unfolding flips them.  On six models with Gaussian noise of 0.1 to 0.6 edges in each
-# coordinate, restoring the true surface flips 0 to 30 % of the faces, at most 1.2 for each folded
-# face; with noise along the normals at most 1.7 % of the faces.  CAD meshes have no folds, and half
-# of the faces flip where a filter collapses them.
+# Two rules apply at any level of noise: to the volume of a closed surface, and to faces that flip,
+# which is to turn by more than a right angle.  Strong tangential noise folds faces over, and
+# unfolding flips them.  On six models with Gaussian noise of 0.1 to 0.6 edges in each coordinate,
+# restoring the true surface flips 0 to 30 % of the faces, at most 1.2 for each folded face; with
+# noise along the normals at most 1.7 % of the faces.  CAD meshes have no folds, and half of the
+# faces flip where a filter collapses them.
 #
 # Three more rules apply if the level of noise is known: it limits the changes of volume and area
 # and the displacements.  On seven models with noise of 0.05 to 0.7 edges along the normals and in
@@ -450,11 +448,10 @@ AREA, MOVES = "W_AREA_CHANGE", "W_LARGE_MOVES"
 
 @dataclass(frozen=True)
 class Harm:
-    """A harmful change: its ``code`` (``FLIPPED``, ``VOLUME``, ``AREA`` or ``MOVES``), and as
-    ``reason`` a message with the figures."""
+    """A harmful change."""
 
-    code: str
-    reason: str
+    code: str  # ``FLIPPED``, ``VOLUME``, ``AREA`` or ``MOVES``
+    reason: str  # a message with the figures
 
 
 def harmful_change(

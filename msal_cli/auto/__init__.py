@@ -28,9 +28,6 @@ SECONDS = 1.2, 22.0
 """Seconds on one core that a choice among all methods and its result take: for any mesh, and in
 addition per million vertices; fitted to the sample meshes and to benchmarks/auto_seconds.py."""
 
-FAMILY, ALL = "family", "all"
-"""What was chosen from: AL and MSAL with the schedules of equation (2), or all methods."""
-
 METHODS = (
     "al",
     "bilateral_non_iterative",
@@ -47,12 +44,10 @@ METHODS = (
 LARGEST_OF_FAMILY = {"schedule": "wiener"}
 """Parameters of ``al`` that need the most memory in the family."""
 
-FAMILY_BYTES = 20_000_000
-"""As ``BYTES``, for a choice within the family."""
-
-BYTES = 25_000_000
-"""Memory that a choice needs beyond that of methods, for meshes of any size, because candidates run
-on a part.  Measured by benchmarks/peak_memory.py, as ``auto``."""
+BYTES, FAMILY_BYTES = 25_000_000, 20_000_000
+"""Memory that a choice among all methods and one within the family need beyond that of methods, for
+meshes of any size, because candidates run on a part.  Measured by benchmarks/peak_memory.py, as
+``auto``."""
 
 LESS, KEEP_TEXTURE = 0.2, 0.9
 """The reduction of displacements, as a share of the choice, for each step of ``Wishes.strength``

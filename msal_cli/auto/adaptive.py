@@ -145,9 +145,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
     if scores[order[0]] >= 0.0:
         what += "; every setting would add more error than it takes away"
         return blends.choose_least(noise, wishes, what, None)
-    errors = errors / edge
-    next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
-    best = order[0]
+    errors, best = errors / edge, order[0]
     numbers, mixture, error = [best], np.ones(1), float(errors[best])
     if not is_unsure and mesh.trust is None and len(mesh.vertices) <= SMALL:
         score, pair, pair_weights, length = _find_mixture(runs, moves, true, order[:MIXED])
@@ -168,7 +166,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
         noise,
         risk=error,
         tried=len(candidates),
-        runners_up=next_best,
+        runners_up=tuple((candidates[k].label, float(errors[k])) for k in order[1:]),
     )
 
 

@@ -30,14 +30,10 @@ from msal_cli.methods._sliding import even_out
 FLOOR = 0.02
 """Estimated errors below this share of the input's count as equal, because they scatter as much."""
 
-ROUNDS = 8
-"""Iterations that update the weights of positions and slopes by the errors reached."""
-
-RIDGE = 1e-4
-"""Regularization of the weights, by which nearly equal filters share a weight."""
-
-TOLERANCE = 1e-9
-"""Difference of gradients above which a weight enters the active set."""
+ROUNDS, RIDGE, TOLERANCE = 8, 1e-4, 1e-9
+"""Iterations that update the weights of positions and slopes by the errors reached; regularization
+of the weights, by which nearly equal filters share a weight; and difference of gradients above
+which a weight enters the active set."""
 
 
 def best_weights(risks: Sequence[Risk], slopes: float) -> Floats:
@@ -165,14 +161,11 @@ def round_weights(weights: Floats, steps: int = 100) -> Floats:
 # Levels of local noise, each with its own weights
 
 
-QUANTILES = (0.1, 0.5, 0.9)
-"""Quantiles of the local levels that have their own weights."""
+QUANTILES, MIN_JUDGED = (0.1, 0.5, 0.9), 200
+"""Quantiles of the local levels that have their own weights, and the vertices that each needs."""
 
 MIN_RATIO, MIN_GAP = 1.25, 0.01
 """Smallest ratio of consecutive levels, and smallest additional difference in mean edge lengths."""
-
-MIN_JUDGED = 200
-"""Vertices that a level of local noise needs to have its own weights."""
 
 
 def spread_levels(local: Floats) -> tuple[float, ...]:
@@ -398,19 +391,17 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
 def _weight_to_reach(base: Floats, move: Floats, target: Floats) -> float | None:
     """The smallest weight of ``move``, in hundredths from 0.01, with which the mean and root mean
     square of the displacements reach ``target`` (2,); None if no weight does."""
-    for percent in range(1, 101):
-        weight = 0.01 * percent
-        if (_mean_and_rms(base + weight * (move - base)) >= target).all():
-            return weight
-    return None
+    weights = (0.01 * percent for percent in range(1, 101))
+    mixed = ((weight, base + weight * (move - base)) for weight in weights)
+    return next((weight for weight, moves in mixed if (_mean_and_rms(moves) >= target).all()), None)
 
 
 def _mean_and_rms(moves: Floats) -> Floats:
     """Mean and root mean square (2,) of the lengths of ``moves`` (m, 3)."""
+    if not len(moves):
+        return np.zeros(2)
     squares = (moves * moves).sum(axis=1)
-    return (
-        np.array([np.sqrt(squares).mean(), np.sqrt(squares.mean())]) if len(moves) else np.zeros(2)
-    )
+    return np.array([np.sqrt(squares).mean(), np.sqrt(squares.mean())])
 
 
 def mix_in_stronger(

@@ -48,12 +48,8 @@ def select_patch(mesh: Mesh, most: int = PART) -> Part:
         links.has_ring if mesh.fixed_vertices is None else links.has_ring & ~mesh.fixed_vertices
     )
     if n <= most + most // 4:
-        whole = (
-            mesh
-            if mesh.fixed_vertices is None and mesh.trust is None
-            else mesh.with_constraints(None, None)
-        )
-        return Part(whole, judged)
+        is_free = mesh.fixed_vertices is None and mesh.trust is None
+        return Part(mesh if is_free else mesh.with_constraints(None, None), judged)
     # Patches begin only at vertices that are evaluated.
     seeds = np.flatnonzero(judged if judged.any() else links.has_ring)
     if len(seeds) > 2 * SEEDS:

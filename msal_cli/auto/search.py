@@ -91,7 +91,7 @@ def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep = lambda done, tot
     estimate = estimate_noise(mesh)
     noise = estimate.assume(wishes.assume, edge)
     is_unsure = noise.is_unsure
-    if noise.is_negligible or not mesh.topology.has_ring.any():
+    if noise.is_negligible:
         on_step(1, 1)
         what = blends.describe_rest(estimate, noise)
         return blends.choose_least(noise, wishes, what, CLEAN)
@@ -128,8 +128,7 @@ class _Search:
         pilot = usable[0]
         if pilot is LEARNED:
             kind = self.noise.character.kind
-            is_drawn = self.is_unsure or self._is_drawn
-            is_blind = kind == "staircase"
+            is_drawn, is_blind = self.is_unsure or self._is_drawn, kind == "staircase"
             pilot = BLIND if is_blind else LEARNED if is_drawn else ROBUST_LEARNED
             surface = surface_kind(study.result(pilot))
             if is_blind:
@@ -138,8 +137,8 @@ class _Search:
                 return self._choose_by_mirror(surface)
             elif surface == MACHINED:
                 # The learned filter restores texture only under noise known to be white.
-                is_white = self.noise.character.kind != "unknown"
-                usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
+                single = ROBUST_LEARNED if kind == "unknown" else LEARNED
+                usable = [sharpen(single, self.stages)]
         self._total = len(usable) + 1
         judges = [study.simulate(usable, pilot, self._step)]
         return self._choice(study, usable, judges, surface)

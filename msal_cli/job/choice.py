@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import ALL, FAMILY, NONE, Wishes
+from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
 from msal_cli.light_dataclass import dataclass, field
@@ -115,7 +115,7 @@ def choose(
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
         wishes=dict(given),
         repeat=options_of(method, parameters),
-        among=ALL if among == AUTO else FAMILY,
+        among="all" if among == AUTO else "family",
         auto_seconds=auto_seconds,
     )
     warnings: tuple[str, ...] = ()

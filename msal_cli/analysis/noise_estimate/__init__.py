@@ -17,7 +17,6 @@ import math
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ from msal_cli.analysis.noise_estimate.evidence import (
     SIZE,
     Evidence,
     gather_evidence,
-    weigh_differences,
 )
 from msal_cli.analysis.noise_estimate.fits import (
     FLATTEST,
@@ -148,21 +146,15 @@ MAX_OPEN = 0.01
 MAX_DOUBTFUL = 0.89
 """Largest probability of noise that is rejected for other reasons; it makes the estimate unsure."""
 
-MAX_WHITE = 1.25
+MAX_WHITE, SURE_SHARED_NOISE = 1.25, 0.9
 """Residual of fits over two rings at the flattest fifth of the vertices, over the level of white
 noise, above which the noise is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes,
-1.4 to 5 for noise correlated over two rings and more, 3.2 and more on surfaces of CT volumes."""
+1.4 to 5 for noise correlated over two rings and more, 3.2 and more on surfaces of CT volumes.  From
+this probability of noise it is then correlated, rather than relief with a trace of white noise."""
 
-SURE_SHARED_NOISE = 0.9
-"""Probability of noise from which noise that is not white counts as correlated, rather than as
-relief with a trace of white noise."""
-
-FACING, MIN_GAIN = 0.6, 0.05
-"""Quantised depths need a mesh that faces their axis (mean squared cosine of the normals), or else
-an axis with at least this gain."""
-
-SURE_STEPS = 0.95
-"""Probability from which depths are quantised without either, because texture may hide the gain."""
+FACING, MIN_GAIN, SURE_STEPS = 0.6, 0.05, 0.95
+"""Quantised depths need a mesh that faces their axis (mean squared cosine of the normals), or an
+axis with at least this gain, or else this probability, because texture may hide the gain."""
 
 MAX_SLIDE = 1.6
 """Largest ratio of the level by tangential displacements along the axis to the level by residuals:
@@ -186,11 +178,9 @@ SHARED_KINDS = ("correlated", "view", "uneven")
 INDEPENDENT_KINDS = ("white", "isotropic", "outliers", "impulsive", "quantised")
 """Kinds of noise that detail seldom resembles."""
 
-PASSES = 20
-"""Averages over one-rings: they cover about sixty vertices, enough for an error of a tenth."""
-
-MIN_HEIGHT = 0.01
-"""Mean edge lengths added to heights before the logarithm, so that small ones count less."""
+PASSES, MIN_HEIGHT = 20, 0.01
+"""Averages over one-rings, which cover about sixty vertices, enough for an error of a tenth; and
+mean edge lengths added to heights before the logarithm, so that small ones count less."""
 
 _LENT: weakref.WeakKeyDictionary[Mesh, NoiseLevel] = weakref.WeakKeyDictionary()
 """Estimates of whole meshes by part, set by ``lend_estimate``."""
@@ -278,11 +268,9 @@ class Forest:
 class Classifier:
     """The trained forests."""
 
-    # kinds: a score for each kind; rings: the number of rings; levels: the logarithm of the level
-    # over the measured one, for each of the ``CORRECTED`` kinds
-    kinds: Forest
-    rings: Forest
-    levels: Forest
+    kinds: Forest  # a score for each kind
+    rings: Forest  # the number of rings
+    levels: Forest  # the logarithm of the level over the measured one, of the ``CORRECTED`` kinds
     sharpness: float  # factor of the scores that calibrates the probabilities
     # (kinds, 2) 10 % and 90 % quantiles of the true level over the estimated one
     spreads: Floats
@@ -380,7 +368,7 @@ def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
 class Estimate:
     """The noise of a mesh, and its level by region."""
 
-    level: NoiseLevel  # the noise
+    level: NoiseLevel
     # centres (r, 3) of the regions of uneven noise, and their levels (r,), file units
     regions: tuple[Floats, Floats] | None = None
 
@@ -426,11 +414,7 @@ def characterize(mesh: Mesh) -> Estimate:
         return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
-    character = NoiseCharacter(
-        "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
-    )
-    if is_named:
-        character = dataclasses.replace(character, **_describe_kind(evidence, verdict, white.tail))
+    character = _describe(verdict, evidence, white.tail, is_named)
     readings = _order_readings(verdict.level, verdict.noise)
     level, low, high = verdict.level, verdict.low, verdict.high
     if verdict.kind == "impulsive":
@@ -443,7 +427,7 @@ def characterize(mesh: Mesh) -> Estimate:
     lowest, highest, n_regions, regions = level, level, len(white.regions), None
     if character.kind == "uneven" and evidence.differences is not None:
         differences = evidence.differences
-        scale = level * white.edge / np.sqrt(weigh_differences(differences))
+        scale = level * white.edge / np.sqrt(differences.mean)
         levels = scale * np.sqrt(differences.lows)
         lowest, highest = float(levels.min()) / white.edge, float(levels.max()) / white.edge
         low, high, n_regions = min(low, lowest), max(high, highest), len(levels)
@@ -537,8 +521,8 @@ def _is_decimated_field(mesh: Mesh, evidence: Evidence) -> bool:
 
 
 def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
-    """Whether many edges are flat up to rounding, as in designs; if an ``axis`` (3,) is given, only
-    edges of faces that noise along it would bend count."""
+    """Whether many edges are flat up to rounding, as in designs; with an ``axis`` (3,), of those
+    faces that noise along it would bend."""
     corners = flaps(mesh.faces, mesh.topology)
     is_flat = dihedral_angles(mesh.vertices, corners) < FLAT
     if axis is not None:
@@ -613,23 +597,13 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
     return least
 
 
-def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[str, Any]:
-    """The fields of the ``NoiseCharacter`` for a verdict, with the basis in words."""
-    kind, far_off = verdict.kind, max(evidence.outliers, tail)
-    values: dict[str, Any] = {"kind": kind}
-    if kind in SHARED_KINDS:
-        values["rings"] = max(verdict.rings, 1) if kind == "correlated" else verdict.rings
+def _describe(verdict: Verdict, evidence: Evidence, tail: float, is_named: bool) -> NoiseCharacter:
+    """The character of the noise by a verdict, ``unknown`` unless it ``is_named``."""
+    kind, far_off = verdict.kind if is_named else "unknown", max(evidence.outliers, tail)
+    rings = verdict.rings if kind in SHARED_KINDS else 0
     axis = evidence.steps.axis if kind == "quantised" else None
     if kind == "view" and evidence.axis is not None:
         axis = evidence.axis.axis
-    if axis is not None:
-        values |= {"direction": "axis", "axis": tuple(axis.tolist())}
-    if kind == "isotropic":
-        values["direction"] = "isotropic"
-    if kind in ("quantised", "staircase"):
-        values["step"] = evidence.steps.step
-    if kind == "outliers":
-        values["outliers"] = far_off
     of_steps = "neighbours differ by multiples of one step"
     bases = {
         "view": "vertices slide along the axis, and what fits leave falls with the angle to it",
@@ -640,7 +614,16 @@ def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[st
         "impulsive": f"{100.0 * tail:.2g} % of the vertices stand out along the normals",
         "uneven": "what fits leave differs by region",
     }
-    return values | ({"basis": bases[kind]} if kind in bases else {})
+    return NoiseCharacter(
+        kind,
+        rings=max(rings, 1) if kind == "correlated" else rings,
+        direction="isotropic" if kind == "isotropic" else "normals" if axis is None else "axis",
+        axis=None if axis is None else tuple(axis.tolist()),
+        step=evidence.steps.step if kind in ("quantised", "staircase") else 0.0,
+        outliers=far_off if kind == "outliers" else 0.0,
+        confidence=verdict.probability,
+        basis=bases.get(kind, _describe_fits(evidence)),
+    )
 
 
 def _describe_fits(evidence: Evidence) -> str:

@@ -36,18 +36,14 @@ CLOSE = 0.02
 ROUNDS = 8
 """Iterations of the fit, which reduce the weight of groups with texture."""
 
-GRAIN, MAX_ERROR = 0.02, 3.0
-"""Constant added to squared cosines and to ratios of variances before logarithms are compared; and
-the largest error of a logarithm that counts."""
+FACING, GRAIN, MAX_ERROR = 0.1, 0.02, 3.0
+"""Mean squared cosine to the axis above which a group of normals counts for the level; constant
+added to squared cosines and to ratios of variances before logarithms are compared; and the largest
+error of a logarithm that counts."""
 
-FACING = 0.1
-"""Mean squared cosine to the axis above which a group of normals counts for the level."""
-
-HOPELESS = 0.4
-"""Candidates whose misfit exceeds that without an axis by more are not refined."""
-
-TURNS = (0.3, 0.15, 0.08, 0.04)
-"""Tangents of the angles by which an axis is turned to refine it."""
+HOPELESS, TURNS = 0.4, (0.3, 0.15, 0.08, 0.04)
+"""Candidates whose misfit exceeds that without an axis by more are not refined; the others are
+turned by angles with these tangents."""
 
 CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
 """An axis is clear if tangential displacements along it are at least this share of the level, and
@@ -67,11 +63,9 @@ the smallest contrast, and the smallest and largest tangential displacement over
 eleven models noise along an axis has agreements of 0.33 to 0.79 and contrasts of 2 to 14; other
 noise has at most 0.3, or a contrast of at most 1.7."""
 
-STEEP = 0.3
-"""Sine of the angle of normal and axis above which tangential displacements are measured."""
-
-FLAT_COSINE = 0.25
-"""Squared cosine of a normal to the axis above which a place counts for the level."""
+STEEP, FLAT_COSINE = 0.3, 0.25
+"""Sine of the angle of normal and axis above which tangential displacements are measured, and its
+squared cosine above which a place counts for the level."""
 
 
 @dataclass(frozen=True)

@@ -112,13 +112,10 @@ of any kind; texture and shape are below one of them.  The latter are for levels
 PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
 """Sharpness, by fit, that repeating patterns exceed and correlated noise does not."""
 
-RELIEF_SHARP, RELIEF_GROWTH = 0.8, 1.22
+RELIEF_SHARP, RELIEF_GROWTH, SMOOTH_GROWTH = 0.8, 1.22, 0.97
 """If sharpness of fits over six rings, and growth of the level from four rings to six relative to
-that of noise, are both greater, there is relief everywhere."""
-
-SMOOTH_GROWTH = 0.97
-"""Ratio of the residuals of cubics over three rings and quadratics over two below which they are
-smooth relief; correlated noise has 1 to 1.16."""
+that of noise, are both greater, there is relief everywhere; or if the ratio of the residuals of
+cubics over three rings and quadratics over two is less: correlated noise has 1 to 1.16."""
 
 
 @dataclass(frozen=True)
@@ -206,23 +203,19 @@ REGION_SHARES, PURE = (0.1, 0.3, 0.4, 0.5), 0.3
 the level of the mesh.  The ratio of the first to the last is at least ``PURE`` in a region that is
 not split between a quiet and a noisy part."""
 
-LOUD_SHARE = 0.16
-"""Regions with less than this share of the largest variance are quiet."""
-
-UNEVEN, MIN_LOUD = 2.5, 0.05
+UNEVEN, MIN_LOUD, LOUD_SHARE = 2.5, 0.05, 0.16
 """Smallest ratio of the levels of the most and the least noisy region, and smallest level of the
-former, mean edge lengths, for uneven noise."""
+former, mean edge lengths, for uneven noise.  Regions with less than this share of its variance are
+quiet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
     """Variances of the regions of uneven noise, squared mean edge lengths."""
 
-    # middles, labels: the vertices of the survey (r,) that are centres, and the region of each (c,)
-    middles: Longs
-    labels: Longs
-    lows: Floats  # lows, means: (r,) variances for the level of the region, and of the mesh
-    means: Floats
+    middles: Longs  # (r,) the vertices of the survey that are centres
+    lows: Floats  # (r,) variances for the levels of the regions
+    mean: float  # mean variance over the mesh
     is_pure: NDArray[np.bool_]  # (r,) whether a region is not part quiet, part noisy
     # (c,) variance of the region of each vertex; 0 where the region is quiet or not pure
     scale: Floats
@@ -260,24 +253,18 @@ def find_differences(survey: Survey) -> Differences | None:
     middle = median(lows[known])
     lows, means = np.where(known, lows, middle), np.where(known, means, middle)
     scale = np.where(is_pure & (lows > LOUD_SHARE * highest**2), lows, 0.0)[labels]
-    return Differences(middles, labels, lows, means, is_pure, scale)
-
-
-def weigh_differences(differences: Differences) -> float:
-    """Mean variance over the mesh, squared mean edge lengths."""
-    counts = np.bincount(differences.labels, minlength=len(differences.middles))
-    return float(counts @ differences.means / counts.sum())
+    counts = np.bincount(labels, minlength=len(middles))
+    mean = float(counts @ means / counts.sum())
+    return Differences(middles, lows, mean, is_pure, scale)
 
 
 # Spikes: impulses along the normals, and outliers in any direction
 
 
-MIN_OUTLIERS = 0.004
-"""Share of the vertices above which those far off count as outliers."""
-
-OUTLYING, TIMES_USUAL, USUAL = 0.9, 3.5, 0.7
-"""Smallest distance of an outlier from the mean of its one-ring: in mean edge lengths, and as a
-multiple of the quantile ``USUAL`` of all distances."""
+MIN_OUTLIERS, OUTLYING, TIMES_USUAL, USUAL = 0.004, 0.9, 3.5, 0.7
+"""Share of the vertices above which those far off count as outliers, and the smallest distance of
+one from the mean of its one-ring: in mean edge lengths, and as a multiple of the quantile ``USUAL``
+of all distances."""
 
 
 def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
@@ -326,14 +313,9 @@ PAIRS = ((TWO, ONE), (THREE, TWO), (FOUR, THREE), (SIX, FOUR))
 TINY = 1e-7
 """Mean edge lengths below which a deviation is a rounding error."""
 
-MAX_COUNTED = 4_000
-"""Largest value of the feature for the number of vertices."""
-
-MAX_REPEATED_VERTICES = 40_000
-"""Only the edges of so many vertices are compared in length, since sorting more takes too long."""
-
-MAX_NEIGHBOUR_PLACES = 400
-"""Most vertices whose heights are compared with those of their neighbours."""
+MAX_COUNTED, MAX_REPEATED_VERTICES, MAX_NEIGHBOUR_PLACES = 4_000, 40_000, 400
+"""Largest numbers of vertices that count for the size of a mesh, whose edges are compared in length
+(sorting more takes too long), and whose heights are compared with those of their neighbours."""
 
 MIN_COSINE = 0.1
 """Squared cosine of the normal to an axis above which a vertex shows noise along the axis."""
@@ -389,7 +371,7 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
         MISSING if axis is None else _log(axis.best_level),
         MISSING if axis_colour is None else _log(axis_colour.level),
         _log(steps.level) if steps.n_axes else MISSING,
-        MISSING if differences is None else _log(math.sqrt(weigh_differences(differences))),
+        MISSING if differences is None else _log(math.sqrt(differences.mean)),
         *_size_numbers(mesh, survey, white, base),
         *_white_numbers(white, base),
         *_survey_numbers(survey, base),
@@ -611,6 +593,6 @@ def _region_numbers(
         *_logs(np.array([lows[0], median(lows), lows[-1]]), base),
         float((differences.scale > 0.0).mean()),
         float(differences.is_pure.mean()),
-        _log(math.sqrt(weigh_differences(differences)), base),
+        _log(math.sqrt(differences.mean), base),
         *_colour_numbers(colour, base),
     ]

@@ -24,7 +24,6 @@ from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 _NORMAL = {
-    0.05: -1.6448536,
     0.2: -0.8416212,
     0.25: -0.6744898,
     0.3: -0.5244005,
@@ -183,8 +182,7 @@ def _squared_distances(axes: Floats, point: Floats) -> Floats:
 
 # The level of white noise
 
-MIN_PATCHES, MAX_PATCHES = 1536, 4096
-VERTICES_PER_PATCH = 12
+MIN_PATCHES, MAX_PATCHES, VERTICES_PER_PATCH = 1536, 4096, 12
 """Polynomials are fitted around one in so many vertices, within these bounds.  Patches of twenty
 then cover each vertex once or twice, and more of them would add little."""
 
@@ -208,11 +206,9 @@ FAR_OUT, FAR_OUT_EXCESS, MIN_TAIL = 0.01, 0.08, 0.008
 """Share of the vertices in the tail under Gaussian noise; their excess variance as a share of that
 of the noise; and excess of the tail above which noise is impulsive."""
 
-NEGLIGIBLE = 0.005
-"""Levels below it, mean edge lengths, are invisible."""
-
-DOUBTFUL = 0.05
-"""Mean edge lengths: an interval from 0 to less is negligible, because all may be texture."""
+NEGLIGIBLE, DOUBTFUL = 0.005, 0.05
+"""Mean edge lengths: levels below the first one are invisible; an interval from 0 to less than the
+second one is negligible, because all may be texture."""
 
 VERTICES_PER_REGION, MAX_REGIONS, MIN_PLACES = 800, 16, 48
 """Vertices per region, the largest number of regions, and the places that a region needs."""
