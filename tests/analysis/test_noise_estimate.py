@@ -135,7 +135,7 @@ def test_parts_of_few_vertices_do_not_pass_for_noise(rows, is_negligible):
 )
 def test_noise_bends_edges_and_leaves_them_manifold(kind, flat, fins, is_clean, monkeypatch):
     verdict = noise_estimate.Verdict(0.85, kind, 0.8, 0.1, 0.1, 0.09, 0.11, 0)
-    monkeypatch.setattr(noise_estimate, "classify", lambda numbers, least: verdict)
+    monkeypatch.setattr(noise_estimate, "classify", lambda *given: verdict)
     vertices, faces = grid(60, 40)
     vertices[:, 2] += 0.1 * np.random.default_rng(3).standard_normal(2400) * (vertices[:, 0] > flat)
     edges = faces[:: len(faces) // 40, :2][:fins]

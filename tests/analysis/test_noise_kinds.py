@@ -345,6 +345,7 @@ def test_a_part_that_faces_one_way_is_not_noisier_for_that(smooth, kind, is_boun
     found = [noise_estimate.classify(some, least) for some in (closed, part)]
     assert [(one.kind, bool(one.rings)) for one in found] == [(kind, is_bound)] * 2
     assert (found[1].noise <= found[0].noise) == is_bound
+    assert noise_estimate.classify(part, least, is_grid=True).noise > found[0].noise
 
 
 def test_parts_of_a_sculpture_are_hardly_noisy(real_data):
@@ -354,6 +355,13 @@ def test_parts_of_a_sculpture_are_hardly_noisy(real_data):
     for points, faces in cut_parts(mesh, 12):
         found.append(noise_estimate.estimate_noise(prepare_mesh(points, faces).mesh))
     assert sum(not (noise.is_negligible or noise.is_unsure) for noise in found) <= 1
+
+
+def test_a_range_map_is_noisy_along_the_view(real_data):
+    file = codecs.open_mesh((real_data / "scans" / "face000.ply").read_bytes(), "face.ply")
+    mesh = prepare_mesh(file.vertices, file.faces).mesh
+    assert gather_evidence(mesh, estimate_white(mesh)).is_grid
+    assert summarize(noise_estimate.estimate_noise(mesh)) == ("view", "axis", 1)
 
 
 def test_the_numbers_are_those_that_the_trees_were_grown_on(white):

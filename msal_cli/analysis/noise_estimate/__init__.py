@@ -323,11 +323,11 @@ def _find_chances(numbers: Floats) -> Floats:
     return np.asarray(chances / chances.sum())
 
 
-def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
+def classify(numbers: Floats, least: Mapping[str, float], is_grid: bool = False) -> Verdict:
     """Classify the noise by the features (k,) of a mesh.  Kinds below ``least`` are excluded.
 
-    That the mesh is open and faces one way does not make noise more probable, unless it is along
-    the view and not correlated.
+    That the mesh is open and faces one way makes noise more probable only if it is a grid
+    (``is_grid``), as range maps are, or the noise is along the view and not correlated.
     """
     trained = load_classifier()
     chances = _find_chances(numbers)
@@ -341,7 +341,7 @@ def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
     shared = float(trained.rings.evaluate(numbers)[0])
     rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
     noise = 1.0 - float(chances[0])
-    if kind != "view" or rings:
+    if not is_grid and (kind != "view" or rings):
         # Range scans are open and face one way, and so are parts of a sculpture, whose relief may
         # look like any noise but that of single vertices along the view.
         closed = numbers.copy()
@@ -381,7 +381,7 @@ def characterize(mesh: Mesh) -> Estimate:
     if n_used < MIN_VERTICES:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
-    verdict = classify(evidence.numbers, _least_probabilities(evidence))
+    verdict = classify(evidence.numbers, _least_probabilities(evidence), evidence.is_grid)
     is_few = n_used < FEW_VERTICES
     if is_few:
         verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))

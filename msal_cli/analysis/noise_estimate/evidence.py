@@ -317,6 +317,11 @@ MAX_COUNTED, MAX_REPEATED_VERTICES, MAX_NEIGHBOUR_PLACES = 4_000, 40_000, 400
 """Largest numbers of vertices that count for the size of a mesh, whose edges are compared in length
 (sorting more takes too long), and whose heights are compared with those of their neighbours."""
 
+GRID = 0.025
+"""Median displacement across the view, of vertices from the means of their one-rings, mean edge
+lengths, below which a mesh is a grid seen from there: 0.002 to 0.022 on parts of range maps, 0.03
+and more on parts of sculptures."""
+
 MIN_COSINE = 0.1
 """Squared cosine of the normal to an axis above which a vertex shows noise along the axis."""
 
@@ -331,6 +336,7 @@ class Evidence:
     steps: StepEvidence  # depths in steps
     differences: Differences | None  # levels by region, if the noise is uneven
     outliers: float  # share of the vertices that lie far off
+    is_grid: bool  # whether the vertices are a regular grid, seen from one side
     # correlation of heights of neighbours in the roughest third; negative for white noise
     loud_correlation: float
     numbers: Floats  # (k,) for the classifier
@@ -402,9 +408,20 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
         steps=steps,
         differences=differences,
         outliers=outliers,
+        is_grid=_is_grid(survey, axis),
         loud_correlation=neighbours[2],
         numbers=values,
     )
+
+
+def _is_grid(survey: Survey, axis: AxisEvidence | None) -> bool:
+    mean = survey.normals.sum(axis=0)
+    views = [mean / max(math.sqrt(float(mean @ mean)), TINY)]
+    views += [] if axis is None else [axis.axis]
+    offsets = survey.offsets
+    across = [offsets - np.outer(offsets @ view, view) for view in views]
+    squares = [median((some * some).sum(axis=1)) for some in across if len(some)]
+    return min(squares, default=math.inf) < GRID * GRID
 
 
 def _log(value: float, base: float = 1.0) -> float:
