@@ -154,7 +154,7 @@ def test_fixed_vertices_stay(run):
 def test_the_rule_at_open_edges(run):
     if "boundary" not in run.defaults:
         pytest.skip("no such rule")
-    vertices, faces = grid(9, 9)
+    vertices, faces = grid(24, 24)
     mesh = prepare_mesh(noisy(vertices, 8, 0.2), faces).mesh
     rim = mesh.topology.boundary
     fixed, free = (run(mesh, boundary=rule).vertices for rule in ("fixed", "free"))
