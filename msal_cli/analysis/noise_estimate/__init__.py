@@ -474,7 +474,7 @@ def _may_be_white(evidence: Evidence) -> bool:
 def _is_surely_shared(verdict: Verdict, evidence: Evidence) -> bool:
     """Whether there surely is correlated noise, neither white noise nor relief."""
     is_relief = evidence.colour is not None and evidence.colour.is_relief
-    is_noise = verdict.noise >= SURE_SHARED_NOISE
+    is_noise = verdict.noise >= SURE_SHARED_NOISE and verdict.rings > 0
     return is_noise and not is_relief and not _may_be_white(evidence)
 
 
