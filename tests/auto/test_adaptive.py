@@ -1,6 +1,7 @@
 """The choice within the family of equation (2)."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -204,3 +205,19 @@ def test_impulsive_noise_is_filtered_for_its_root_mean_square():
     assert adaptive.choose_adaptive(mesh).reason.startswith("impulsive noise")
     level = adaptive.build_case(mesh, noise).model.level
     assert level / mesh.mean_edge_length == pytest.approx(noise.rms_edges)
+
+
+@pytest.mark.parametrize(
+    ("kind", "rise", "is_undone"),
+    [
+        ("white", 0.1, True),
+        ("correlated", 0.1, True),
+        ("correlated", 0.3, False),
+        ("view", 0, False),
+    ],
+)
+def test_sliding_is_undone_unless_angles_grow(kind, rise, is_undone):
+    noise = SimpleNamespace(character=NoiseCharacter(kind))
+    runs = SimpleNamespace(moves=repr, compare=lambda moves, true: (None, (0.0, rise), None))
+    used = adaptive._undo_sliding(LINEAR[0], noise, runs, None)
+    assert ("sliding" in used.given) == is_undone
