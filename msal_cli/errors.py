@@ -134,8 +134,6 @@ class ResourceError(MsalError):
 class InternalError(MsalError):
     """A check on our own result failed; please report it."""
 
-    code = "E_INTERNAL"
-
 
 EXTRAS = {"cloud": "fsspec gcsfs s3fs", "dask": "distributed"}
 """The packages of extras, for messages."""

@@ -266,7 +266,7 @@ def _list_store(
         return not is_hidden and selection.takes(name)
 
     return [
-        DiscoveredInput(urls.join_url(url, name), prefix + name, url, marks[name])
+        DiscoveredInput(urls.folder(url) + name, prefix + name, url, marks[name])
         for name in sorted(filter(is_taken, marks), key=lambda name: name.split("/"))
     ]
 

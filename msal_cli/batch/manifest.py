@@ -570,7 +570,7 @@ def _read_parts(url: str) -> dict[str, bytes]:
 
 
 def _part_url(url: str, name: str = "") -> str:
-    return urls.join_url(url, f"{PARTS_FOLDER}/{name}")
+    return f"{urls.folder(url)}{PARTS_FOLDER}/{name}"
 
 
 def _store_error(url: str, error: MsalError) -> OutputError:

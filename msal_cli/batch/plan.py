@@ -204,7 +204,7 @@ def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
         name = urls.escape_name(file.relative, is_local=not is_url(output))
         folder, slash, last = name.rpartition("/")
         name = folder + slash + output_name(last, to)
-        place = urls.join_url(output, name) if is_url(output) else str(Path(output) / name)
+        place = urls.folder(output) + name if is_url(output) else str(Path(output) / name)
         return Task(file.path, place, file.relative, input_mark=file.mark, manifest_dir=output)
     relative = PurePosixPath(file.relative)
     if relative.is_absolute() or ".." in relative.parts or Path(file.relative).drive:

@@ -269,8 +269,8 @@ class _BatchRun:
                 finished[message.index] = record
             elif isinstance(message, schedule.Failed):
                 # The task was lost outside of the pipeline, so it has no record yet.
-                start = start_record(self.plan.tasks[message.index].input, self.settings)
-                finished[message.index] = replace(start, error=message.failure)
+                name = self.plan.tasks[message.index].input
+                finished[message.index] = start_record(name, self.settings, error=message.failure)
             elif isinstance(message, schedule.Retried):
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
@@ -301,8 +301,7 @@ class _BatchRun:
 
     def _planned_record(self, index: int) -> MeshRecord:
         task = self.plan.tasks[index]
-        start = start_record(task.input, self.settings)
-        return replace(start, status="planned", output=task.output)
+        return start_record(task.input, self.settings, status="planned", output=task.output)
 
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:

@@ -134,8 +134,7 @@ class SetRun:
         failure = Failure.of(to_known_error(error, "the tile set"))
         for index, task in enumerate(self._tasks):
             if index not in self._records:
-                start = start_record(task.input, self._settings)
-                self._records[index] = replace(start, error=failure)
+                self._records[index] = start_record(task.input, self._settings, error=failure)
         return self._records
 
     def _progress_of(self, index: int) -> OnProgress:
@@ -313,8 +312,7 @@ class SetRun:
             with run.stage("measure"):
                 vertices = output.as_stored(mesh_file, self._settings, task.output, vertices)
                 moved = at_other_positions(ready, vertices).vertices
-                run.know_changes(changes.measure(ready, moved, ready.mesh))
-                run.check_intersections(ready, moved)
+                run.know_changes(changes.measure(ready, moved, ready.mesh), ready, moved)
                 run.know(seam_gap=ready.seam_gap(vertices), **known)
                 ready.mesh.release_normals()
             run.field_values = field_values

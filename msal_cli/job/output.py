@@ -16,7 +16,7 @@ from msal_cli.job.room import open_mesh, prepare_mesh
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import atomic, gzip_streams
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.urls import ObjectMark, is_url
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
@@ -160,17 +160,19 @@ def keep_backup(task: Task, data: Buffer) -> None:
 
 def write_output(
     path: str, data: Buffer, companions: tuple[Companion, ...] = (), sources: atomic.Sources = ()
-) -> None:
+) -> tuple[tuple[str, ...], ObjectMark | None]:
     """Write a file after its ``companions``, which contain a part of it; make its folder.
 
-    ``sources`` limit the permission bits, see ``atomic.write_whole``.
+    ``sources`` limit the permission bits, see ``atomic.write_whole``.  Returns what was done about
+    the companions, for the record, and the mark of an object.
     """
     make_folder_of(path)
+    notes: tuple[str, ...] = ()
     if companions:
         from msal_cli.codecs.gltf import write_companions
 
-        write_companions(companions, path, sources)
-    atomic.write_whole(path, [data], sources=sources)
+        notes = write_companions(companions, path, sources)
+    return notes, atomic.write_whole(path, [data], sources=sources)
 
 
 def carry_references(made: Output, task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:

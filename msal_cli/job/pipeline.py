@@ -24,7 +24,7 @@ from msal_cli.job.settings import CHOOSING, NO_LIMITS, SELF_INTERSECTIONS, Limit
 from msal_cli.kernels import array_files
 from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.parallel import is_worth_it
-from msal_cli.storage import atomic, gzip_streams
+from msal_cli.storage import gzip_streams
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -45,10 +45,11 @@ _OF_OUTPUT = (
 )
 
 
-def start_record(name: str, settings: Settings) -> MeshRecord:
+def start_record(name: str, settings: Settings, **values: Any) -> MeshRecord:
     """The record of a file at its start; its status is failed until the file is finished."""
     method = records.MethodUsed(settings.method, dict(settings.parameters))
-    return MeshRecord(input=name, status="failed", version=__version__, method=method)
+    values = {"status": "failed", "version": __version__, "method": method, **values}
+    return MeshRecord(input=name, **values)
 
 
 def denoise_file(
@@ -217,12 +218,9 @@ class FileRun:
             if made.references and not task.in_place:
                 notes, warnings = output.carry_references(made, task)
                 self.warn(*warnings)
-            if made.companions:
-                from msal_cli.codecs.gltf import write_companions
-
-                notes += write_companions(made.companions, task.output, sources)
-            self.know(output_object=atomic.write_whole(task.output, [made.data], sources=sources))
-        return self.finish(task.output, sidecars=notes)
+            written, mark = output.write_output(task.output, made.data, made.companions, sources)
+            self.know(output_object=mark)
+        return self.finish(task.output, sidecars=notes + written)
 
     def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:
         """The mesh of a file, fit for computing; adds its defects to the record."""
@@ -317,7 +315,7 @@ class FileRun:
         if chosen is not first:
             self.warn(*chosen.warnings)
         with self.stage("measure"):
-            self.know_changes(measured)
+            self.know_changes(measured, ready, moved)
             noise, displacement = self.record.noise_estimate, self.record.displacement
             if choice_made is None and chosen.method is not None and noise and displacement:
                 # The user named the method, which may harm the mesh.
@@ -329,7 +327,6 @@ class FileRun:
                 self.field_values = fields.compute(
                     settings.fields, ready, moved, fidelity, chosen.parameters
                 )
-            self.check_intersections(ready, moved)
             ready.mesh.release_normals()
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
@@ -369,15 +366,13 @@ class FileRun:
             self._seconds["normals"] = self._seconds.get("normals", 0.0) + normals_s
         return moved, fidelity if settings.fields else None, is_ruled
 
-    def know_changes(self, measured: changes.Measured) -> None:
-        """Set the fields of what changed, and the warnings about it."""
+    def know_changes(self, measured: changes.Measured, ready: PreparedMesh, moved: Floats) -> None:
+        """Set the fields of what changed, and the warnings about it; count faces that intersect
+        each other, if that was requested.  ``moved`` are the positions (n, 3) of the mesh."""
         self.know(**measured.fields)
         self.warn(*(f"{text} ({code})" for code, text in measured.warnings))
         codes = tuple(code for code, _ in measured.warnings)
         self.know(warning_codes=self.record.warning_codes + codes)
-
-    def check_intersections(self, ready: PreparedMesh, moved: Floats) -> None:
-        """Count faces that intersect each other, if that was requested."""
         if SELF_INTERSECTIONS in self._settings.checks:
             from msal_cli.analysis.measures import self_intersection_change
 

@@ -32,10 +32,8 @@ _COLUMNS = (
     ("area", "area_change_percent", "+.3f", " %"),
     ("flipped", "flipped_faces", ",", ""),
     ("Hausdorff", "hausdorff_edges", ".3g", " e"),
+    ("intersecting", "self_intersections.after", ",", ""),
 )
-
-_INTERSECTING = ("intersecting", "self_intersections.after", ",", "")
-"""The same for pairs of faces that intersect after, where they were counted."""
 
 BASELINE_FIGURES = (
     "mean_angular_error_deg",
@@ -72,7 +70,7 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
     compared = [record for record in records if record.error is None]
     if compared:
         is_counted = any(record.self_intersections for record in compared)
-        columns = (*_COLUMNS, _INTERSECTING) if is_counted else _COLUMNS
+        columns = _COLUMNS if is_counted else _COLUMNS[:-1]
         rows = [
             [figure(value_at(record, path), form, unit, "-") for _, path, form, unit in columns]
             for record in compared

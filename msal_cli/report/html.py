@@ -72,9 +72,6 @@ class Gallery(NamedTuple):
 
 EMPTY_GALLERY = Gallery({})
 
-Column = dict[str, str]
-Row = dict[str, Any]
-
 
 def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GALLERY) -> bytes:
     """The page as UTF-8."""
@@ -121,7 +118,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
 # The table of all files, as data for the page's script
 
 
-def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]:
+def build_table(records: Sequence[MeshRecord]) -> tuple[list[dict[str, str]], list[dict[str, Any]]]:
     """The columns, with ``kind`` ``name``, ``word`` or ``figure``, and a row for each record: its
     ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the order of the columns
     (None: not known) and ``details``, pairs of a word and a text."""

@@ -1,4 +1,4 @@
-"""URLs as text: distinguishing them from paths, and joining them.
+"""URLs as text: distinguishing them from paths, and their parts.
 
 A URL is ``protocol://`` and a path whose parts are literal names: nothing is escaped, not even
 ``%``, ``#``, spaces and line breaks.  A URL that contains a secret (a password, the query of a
@@ -67,13 +67,8 @@ def split(url: str) -> tuple[str, str]:
     return protocol, path
 
 
-def join_url(url: str, relative: str) -> str:
-    """The URL of ``relative``, which is written with ``/``, below a URL."""
-    return f"{folder(url)}{relative}"
-
-
 def folder(url: str) -> str:
-    """The URL of a folder with one slash at its end, so that it is a prefix of those below it."""
+    """The URL of a folder with one slash at its end; relative names with ``/`` may follow."""
     protocol, path = split(url)
     # All the slashes of memory:// belong to it.
     path = path.rstrip("/")

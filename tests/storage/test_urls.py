@@ -4,7 +4,7 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.storage import urls
-from msal_cli.storage.urls import escape_name, identity, join_url, normalize_url, redact
+from msal_cli.storage.urls import escape_name, folder, identity, normalize_url, redact
 
 
 def test_a_protocol_makes_a_url_but_for_files():
@@ -21,9 +21,8 @@ def test_files_are_plain_paths():
 
 
 def test_names_are_joined_as_they_are():
-    assert join_url("s3://b/out", "x/y z.ply") == "s3://b/out/x/y z.ply"
-    assert join_url("s3://b/out//", "x") == "s3://b/out/x"
-    assert join_url("memory://", "x") == "memory://x"
+    assert folder("s3://b/out") == folder("s3://b/out//") == "s3://b/out/"
+    assert folder("memory://") == "memory://"
     assert urls.name("s3://b/out/") == "out"
     assert identity("s3a://b/x") == identity("s3://b/x")
     assert identity("memory:///x") == identity("memory://x")
