@@ -412,10 +412,10 @@ class _Session:
             unlisted = ((error.path, Failure.of(error)) for error in self._unlisted)
             records = [*records, *(MeshRecord(path, "failed", error=e) for path, e in unlisted)]
         if self._gates and not is_dry:
-            from msal_cli.report.gates import is_any_broken, with_gates
+            from msal_cli.report.gates import with_gates
 
             records = with_gates(self._gates, records)
-            is_broken = is_any_broken(records)
+            is_broken = any(map(data.list_broken, records))
         self._print(run, records)
         try:
             if is_dry and request.reports:

@@ -57,10 +57,12 @@ def build_output(
     Raises LossError if ``settings`` are strict and a conversion would lose something, and
     InternalError if the output does not contain what it should.
     """
-    compress = source.is_compressed if path is None else path.lower().endswith(".gz")
+    compress = source.is_compressed if path is None else gzip_streams.is_gzip_name(path)
     target, *how = _format_of_output(mesh_file, settings, path)
     lost: tuple[str, ...] = ()
     stale: list[str] = []
+    references = mesh_file.references
+    companions: tuple[Companion, ...] = ()
     if [target, *how] != [mesh_file.format, "same", "same"]:
         from msal_cli.codecs import conversion
 
@@ -73,23 +75,20 @@ def build_output(
         _check_reopened(output, target, mesh_file, vertices)
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
         stale = conversion.stale_warnings(mesh_file, target, *how)
-        if target != mesh_file.format:
-            # A scene that only changes its container still names its images.
-            is_scene = {target, mesh_file.format} == detection.SCENES
-            references = mesh_file.references if is_scene else ()
-            output = gzip_streams.compress(output) if compress else output
-            return Output(output, references, (), lost, mesh_file.sources, stale)
     elif not np.array_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
-        output, companions = mesh_file.beside(source.data, vertices, path)
-        return Output(output, mesh_file.references, companions, (), mesh_file.sources)
+        output, compress = source.data, False
     else:
         output = gzip_streams.expand(source.data, source.name)[0]
-    output, companions = mesh_file.beside(output, vertices, path)
+    if target == mesh_file.format:
+        output, companions = mesh_file.beside(output, vertices, path)
+    elif {target, mesh_file.format} != detection.SCENES:
+        # A scene that only changes its container still names its images.
+        references = ()
     output = gzip_streams.compress(output) if compress else output
-    return Output(output, mesh_file.references, companions, lost, mesh_file.sources, stale)
+    return Output(output, references, companions, lost, mesh_file.sources, stale)
 
 
 def as_stored(

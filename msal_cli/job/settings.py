@@ -512,12 +512,8 @@ def refuse_unknown_format(output: str) -> None:
 
     A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
     """
-    if is_url(output):
-        # A bucket may have a dot in its name.
-        output_path = split(output)[1]
-        name = output_path.rpartition("/")[2] if "/" in output_path else ""
-    else:
-        name = os.path.basename(output)
+    # A bucket may have a dot in its name.
+    name = os.path.basename(split(output)[1].partition("/")[2] if is_url(output) else output)
     ending = suffix(name) or os.path.splitext(name)[1]
     if len(ending) < 2 or is_mesh_name(name):
         return

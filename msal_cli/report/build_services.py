@@ -28,7 +28,7 @@ from xml.etree import ElementTree as Xml
 from msal_cli.job.display_names import escape_for_display, shorten_name
 from msal_cli.job.records import DONE, MeshRecord, Run
 from msal_cli.report import facts
-from msal_cli.report.data import plain, totals
+from msal_cli.report.data import list_broken, plain, totals
 
 MAX_BYTES = 900_000
 """Bytes of the largest report: less than the 1 MiB that GitHub allows for a summary."""
@@ -89,7 +89,7 @@ def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
     heads += [", ".join(filter(None, (figure.title.lower(), figure.unit))) for figure in figures]
     rows = []
     for record in done:
-        status: str = "**gate**" if facts.list_broken(record) else record.status
+        status: str = "**gate**" if list_broken(record) else record.status
         status += ", inside out" if record.inside_out else ""
         chosen = "" if record.choice is None else record.choice.reason
         cells = [figure.text(record) for figure in figures]
@@ -254,7 +254,7 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         case.append(_element("error", type=record.error.code, message=message))
     elif why:
         # Ant's schema allows one failure in a case.
-        broken = "; ".join(map(facts.gate_values, facts.list_broken(record)))
+        broken = "; ".join(map(facts.gate_values, list_broken(record)))
         case.append(_element("failure", type="gate", message=broken))
     elif record.status == "planned":
         case.append(_element("skipped"))

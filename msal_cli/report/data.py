@@ -25,6 +25,8 @@ from msal_cli.job.display_names import figure, map_texts, portable, restore_name
 from msal_cli.job.records import (
     DONE,
     SCHEMA,
+    ComparisonRecord,
+    GateResult,
     MeshRecord,
     Run,
     as_data,
@@ -111,7 +113,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
         up_to_date=states["up-to-date"],
         planned=states["planned"],
         failed=states["failed"],
-        gate_broken=sum(any(gate.broken for gate in record.gates) for record in records),
+        gate_broken=sum(map(bool, map(list_broken, records))),
         chosen=dict(sorted(chosen.items(), key=lambda item: (-item[1], item[0]))),
         vertices=sum(record.vertices or 0 for record in fresh),
         work_seconds=sum(known_values(fresh, "seconds.total")),
@@ -127,6 +129,10 @@ def known_values(records: Sequence[Any], path: str) -> list[Any]:
     """The values of a field, by its dotted path, of the records that have one."""
     values = (value_at(record, path) for record in records)
     return [value for value in values if value is not None]
+
+
+def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
+    return [gate for gate in record.gates if gate.broken]
 
 
 # Plain data

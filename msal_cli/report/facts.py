@@ -14,7 +14,6 @@ from msal_cli.errors import MsalError, format_count
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import (
     DONE,
-    ComparisonRecord,
     Failure,
     GateResult,
     InfoRecord,
@@ -25,7 +24,7 @@ from msal_cli.job.records import (
     value_at,
 )
 from msal_cli.light_dataclass import dataclass
-from msal_cli.report.data import Totals, flatten, known_values, plain
+from msal_cli.report.data import Totals, flatten, known_values, list_broken, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]
 
@@ -433,10 +432,6 @@ def failure_lines(name: str, failure: Failure | None) -> list[Line]:
         return []
     lines = [Line(f"{name}: {failure_text(failure)}", "bad")]
     return lines + ([Line(f"  hint: {failure.hint}")] if failure.hint else [])
-
-
-def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
-    return [gate for gate in record.gates if gate.broken]
 
 
 def gate_values(gate: GateResult) -> str:

@@ -493,7 +493,3 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
         else replace(record, gates=evaluate_gates(gates, record))
         for record in records
     ]
-
-
-def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) -> bool:
-    return any(gate.broken for record in records for gate in record.gates)

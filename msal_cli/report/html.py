@@ -34,7 +34,7 @@ from msal_cli.job.room import open_mesh
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report import facts
-from msal_cli.report.data import Totals, known_values, plain, totals
+from msal_cli.report.data import Totals, known_values, list_broken, plain, totals
 from msal_cli.report.facts import Fact, Tone
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, escape, to_base64
@@ -130,7 +130,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[dict[str, str]], li
     columns = [dict(zip(("title", "unit", "kind"), head, strict=True)) for head in heads]
     rows = []
     for record in records:
-        kind = "gate" if facts.list_broken(record) else "good"
+        kind = "gate" if list_broken(record) else "good"
         kind = record.status if record.status in ("failed", "planned") else kind
         status = {"planned": "not done", "up-to-date": "up to date"}.get(
             record.status, "gate broken" if kind == "gate" else record.status
