@@ -51,18 +51,14 @@ SLACK = 1e-6
 """The excess that any figure may have, in its own unit: rounding differs between machines."""
 
 
-def describe_comparison(record: ComparisonRecord) -> list[Line]:
+def describe_comparison(record: ComparisonRecord) -> Iterator[Line]:
     """The lines for two files that were compared: their names, then one line per measure."""
-    before = facts.vertices_text(record.vertices_before, record.corners_before)
-    after = facts.vertices_text(record.vertices_after, record.corners_after)
-    lines = [
-        Line(f"{side:8}{file_name(path)}: {vertices}, {format_count(n_faces or 0, 'triangle')}")
-        for side, path, vertices, n_faces in (
-            ("before", record.before, before, record.faces_before),
-            ("after", record.after, after, record.faces_after),
-        )
-    ]
-    return [*lines, *facts.fact_lines(list_facts(record), 18)]
+    for side in ("before", "after"):
+        counts = (getattr(record, f"{what}_{side}") for what in ("vertices", "corners", "faces"))
+        vertices, corners, faces = counts
+        text = f"{facts.vertices_text(vertices, corners)}, {format_count(faces or 0, 'triangle')}"
+        yield Line(f"{side:8}{file_name(getattr(record, side))}: {text}")
+    yield from facts.fact_lines(list_facts(record), 18)
 
 
 def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
@@ -81,8 +77,8 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
         for text in record.warnings:
             yield Line(f"warning: {_pair_name(record)}: {text}", "bad")
     for record in records:
-        paths = {"before": record.before, "after": record.after}
-        name = file_name(paths[record.at_fault]) if record.at_fault else _pair_name(record)
+        side = record.at_fault
+        name = file_name(getattr(record, side)) if side is not None else _pair_name(record)
         yield from facts.failure_lines(name, record.error)
     n_failed = len(records) - len(compared)
     end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")

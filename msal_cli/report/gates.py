@@ -198,19 +198,23 @@ class _Meaning(NamedTuple):
     name: str = ""
 
 
-class _Parser:
-    """Parses one expression; every error names the column."""
+class Gate:
+    """One expression, parsed; every error names the column."""
 
-    def __init__(self, text: str, known: Mapping[str, Quantity], file_unit: str | None) -> None:
-        self._text = text.strip()
+    def __init__(
+        self, expression: str, known: Mapping[str, Quantity], file_unit: str | None
+    ) -> None:
+        self.expression = expression
+        self.quantities: dict[str, Quantity] = {}  # that it names, in order
+        self.tested: set[str] = set()  # names that it tests with ``known``
+        self._text = expression.strip()
         self._known = known
         self._file_unit = file_unit
         # By column.  For Python's parser, numbers are replaced by underscores.
         self._numbers: dict[int, _Meaning] = {}
-        self.names: dict[str, Quantity] = {}
-        self.tested: set[str] = set()
+        self.verdict = self._parse()  # its value in a record
 
-    def parse(self) -> Callable[[Any], Value]:
+    def _parse(self) -> Callable[[Any], Value]:
         if len(self._text) > MAX_LENGTH:
             raise self._error(MAX_LENGTH, f"it is longer than {MAX_LENGTH} characters")
         code = _TOKEN.sub(self._replace_number, self._text)
@@ -301,7 +305,7 @@ class _Parser:
 
     def _name(self, name: str, at: int) -> _Meaning:
         if name in self._known:
-            quantity = self.names[name] = self._known[name]
+            quantity = self.quantities[name] = self._known[name]
             # Counts, too, are floats in computations.
             value: Callable[[Any], Value] = quantity.value_in
             if quantity.unit != TRUTH:
@@ -410,17 +414,6 @@ def _decide(inner: list[Callable[[Any], Value]], deciding: bool) -> Callable[[An
 # Gates
 
 
-@dataclass(frozen=True)
-class Gate:
-    """One expression, its value in a record, the quantities that it names, in order, and the names
-    that it tests with ``known``."""
-
-    expression: str
-    verdict: Callable[[Any], Value]
-    quantities: Mapping[str, Quantity]
-    tested: set[str]
-
-
 def parse_gates(
     expressions: Sequence[str], kind: Hashable, file_unit: str | None = None
 ) -> tuple[Gate, ...]:
@@ -430,11 +423,7 @@ def parse_gates(
     UsageError, which names the column, for an expression that is no comparison, a name that no such
     record has, or units that do not fit each other.
     """
-    gates = []
-    for text in expressions:
-        parser = _Parser(text, quantities(kind), file_unit)
-        gates.append(Gate(text, parser.parse(), parser.names, parser.tested))
-    return tuple(gates)
+    return tuple(Gate(text, quantities(kind), file_unit) for text in expressions)
 
 
 def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
