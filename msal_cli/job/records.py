@@ -37,19 +37,14 @@ WITH_OUTPUT = (*DONE, "up-to-date")
 # The fields of records
 
 
-def about(description: str) -> dict[str, str]:
-    """The metadata of a field: what the JSON Schema says of it."""
-    return {"description": description}
-
-
-def required(description: str) -> Any:
-    """A field that must be given, with its description."""
-    return dataclasses.field(metadata=about(description))
+def required(description: str, **more: Any) -> Any:
+    """A field with the description that the JSON Schema shows; ``more`` as of ``field``."""
+    return field(metadata={"description": description}, **more)
 
 
 def known(description: str, default: Any = None) -> Any:
     """A field with its description; None, or ``default``, if not known."""
-    return dataclasses.field(default=default, metadata=about(description))
+    return required(description, default=default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,8 +388,8 @@ class InfoRecord:
     corners: int | None = None
     faces: int | None = None
     triangles: int | None = None
-    polygon_sizes: dict[str, int] = field(
-        default_factory=dict, metadata=about("number of faces by number of corners")
+    polygon_sizes: dict[str, int] = required(
+        "number of faces by number of corners", default_factory=dict
     )
     components: int | None = None
     closed: bool | None = known("true if there is no boundary edge")
@@ -488,9 +483,8 @@ class Run:
     finished: str = required("when it ended, UTC, ISO 8601")
     seconds: float = required("wall-clock seconds between the two")
     interrupted: bool = known("true if the run was ended before all files were dealt with", False)
-    machine: Mapping[str, str] = field(
-        default_factory=dict,
-        metadata=about("system, cores and libraries, by name; empty where they are not known"),
+    machine: Mapping[str, str] = required(
+        "system, cores and libraries, by name; empty where they are not known", default_factory=dict
     )
 
 
