@@ -14,7 +14,7 @@ from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
+from msal_cli.codecs.ply_write import write_ply
 from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import InputError, UnsupportedError, format_count
 from msal_cli.light_dataclass import dataclass
@@ -51,18 +51,14 @@ _SINGLE = ("glb", "gltf", "stl")
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """What is converted: positions (n, 3), triangles (m, 3), polygons (None if these are the
-    triangles), colours (n, 3 or 4) or None, and unit normals (n, 3) or None."""
+    """What is converted: positions (n, 3), triangles (m, 3), polygons as of ``MeshFile.polygons``,
+    colours (n, 3 or 4) or None, and unit normals (n, 3) or None."""
 
     vertices: Floats
     faces: Ints
-    polygons: list[Any] | Ints | None = None
-    colours: NDArray[np.uint8] | None = None
-    normals: Floats | None = None
-
-    def corners(self) -> tuple[Longs, Longs]:
-        """Corners (c,) and sizes (p,) of the polygons."""
-        return corners_of(self.faces if self.polygons is None else self.polygons)
+    polygons: tuple[Longs | Ints, Longs]
+    colours: NDArray[np.uint8] | None
+    normals: Floats | None
 
 
 def convert(
@@ -173,16 +169,16 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
     if to == "obj" and colours is not None and (colours[:, 3:] < 255).any():
         losses.append("alpha of the vertex colours")
     faces = mesh_file.faces
-    polygons: list[Any] | Ints | None = None
-    if mesh_file.n_polygons != len(faces):
-        if to in ("ply", "obj"):
-            polygons = mesh_file.polygons()
-        else:
-            losses.append("polygons (triangulated)")
+    polygons: tuple[Longs | Ints, Longs] = faces.reshape(-1), np.full(len(faces), 3)
+    if mesh_file.n_polygons != len(faces) and to in ("ply", "obj"):
+        polygons = mesh_file.polygons()
+    elif mesh_file.n_polygons != len(faces):
+        losses.append("polygons (triangulated)")
     if to == "stl":
+        from msal_cli.kernels.welding import used_vertices
+
         losses.append("vertex identity (STL stores corners)")
-        used = np.zeros(len(vertices), dtype=bool)
-        used[faces.reshape(-1)] = True
+        used = used_vertices(len(vertices), faces)
         if not used.all():
             losses.append(f"{format_count(int((~used).sum()), 'vertex')} that no face uses")
     normals = _vertex_normals(vertices, faces) if carries_normals else None
@@ -225,10 +221,9 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     if to == "obj":
         return _as_obj(mesh, points, single)
     if to == "off":
-        corners, sizes = mesh.corners()
-        head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
-        rows_of_faces = integer_lines(corners, sizes, b"3 ")
-        return b"".join([head, float_lines(points, single=single), rows_of_faces])
+        head = f"OFF\n{len(points)} {len(mesh.faces)} 0\n".encode()
+        lines = float_lines(points, single=single), integer_lines(*mesh.polygons, b"3 ")
+        return b"".join([head, *lines])
     writers = {"3mf": threemf.to_3mf, "vtp": vtk_xml.to_vtp}
     if to in writers:
         return writers[to](points, mesh.faces, single=single)
@@ -276,17 +271,9 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii is made by the codec, which formats the numbers."""
     from msal_cli.codecs import ply
 
-    # Vertices that no face uses need not be finite.
-    positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
-    real = "<f4" if single else "<f8"
-    columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
-    if mesh.normals is not None:
-        normals = mesh.normals
-        columns += [(f"n{name}", "<f4", normals[:, k]) for k, name in enumerate("xyz")]
-    if mesh.colours is not None:
-        names = ("red", "green", "blue", "alpha")
-        columns += [(name, "u1", shade) for name, shade in zip(names, mesh.colours.T, strict=False)]
-    data = write_ply(columns, *mesh.corners())
+    data = write_ply(
+        mesh.vertices, *mesh.polygons, single=single, normals=mesh.normals, colours=mesh.colours
+    )
     if encoding == "binary":
         return data
     file = ply.read(data)
@@ -301,7 +288,7 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     pieces = [float_lines(points, single=single, prefix=b"v ")]
     if mesh.normals is not None:
         pieces.append(float_lines(mesh.normals, single=True, prefix=b"vn "))
-    corners, sizes = mesh.corners()
+    corners, sizes = mesh.polygons
     faces = integer_lines(corners + 1, sizes, b"f ", doubled=mesh.normals is not None)
     return b"".join([*pieces, faces])
 
@@ -317,7 +304,7 @@ def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:
 
 
 def integer_lines(
-    values: Longs, sizes: Longs, prefix: bytes = b"", *, doubled: bool = False
+    values: Longs | Ints, sizes: Longs, prefix: bytes = b"", *, doubled: bool = False
 ) -> bytes:
     """Whole numbers (c,) in lines of ``sizes`` (p,); ``doubled`` as of ``text.format_lines``."""
     from msal_cli.kernels import text

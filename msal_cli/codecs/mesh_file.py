@@ -335,15 +335,12 @@ class MeshFile(Surface):
         stream), and the files that it needs in its folder."""
         return output, ()
 
-    def polygons(self) -> list[Any] | Ints:
-        """The faces of the file, for conversion: an (m, k) array or a list of arrays."""
-        corners = self._layout.corners.astype(np.int32, copy=False)
-        sizes = self._layout.sizes
+    def polygons(self) -> tuple[Longs | Ints, Longs]:
+        """The faces of the file: the corners (c,) of all, and how many each has (p,)."""
+        corners, sizes = self._layout.corners, self._layout.sizes
         if not len(sizes):
-            return self.faces
-        if (sizes == sizes[0]).all():
-            return corners.reshape(-1, int(sizes[0]))
-        return np.split(corners, np.cumsum(sizes[:-1]))
+            return self.faces.reshape(-1), np.full(len(self.faces), 3)
+        return corners, sizes.astype(np.int64, copy=False)
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with the positions (n, 3) that moved, and their normals, replaced.

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_body import Lines, Part, Section, section_at
-from msal_cli.codecs.ply_header import TYPES, Header, Property
-from msal_cli.codecs.slots import to_type
+from msal_cli.codecs.ply_header import NORMAL, POSITION, TYPES, Header, Property
+from msal_cli.codecs.slots import as_float32, to_type
 from msal_cli.errors import ContentError
-from msal_cli.storage.regular import Buffer
 
 _CHUNK = 65_536
 """Records converted to text at a time."""
@@ -212,23 +210,52 @@ def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
     return np.frombuffer(b"".join(tokens), dtype=np.uint8), stops
 
 
-VertexColumn = tuple[str, str, NDArray[Any]]
-"""The name of a property, its numpy type, and a number (n,) for each vertex."""
-
 _TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
+_SHADES = ("red", "green", "blue", "alpha")
+_MAX_COMMENT = 1000
 
 
 def write_ply(
-    columns: Sequence[VertexColumn], corners: Longs, sizes: Longs, comments: Sequence[str] = ()
+    vertices: Floats,
+    corners: Longs | Ints,
+    sizes: Longs,
+    *,
+    single: bool,
+    normals: Floats | None = None,
+    colours: NDArray[np.uint8] | None = None,
+    fields: Mapping[str, Floats] | None = None,
+    comments: Sequence[str] = (),
 ) -> bytes:
-    """A file of vertices with these ``columns``, and polygons with ``sizes`` (p,) and concatenated
-    ``corners`` (c,).  Comments must be printable ASCII."""
-    rows = np.empty(len(columns[0][2]), dtype=[(name, code) for name, code, _ in columns])
-    for name, _, values in columns:
-        rows[name] = values
+    """A binary file, little endian.
+
+    Parameters
+    ----------
+    vertices : (n, 3) positions, stored as ``float`` if ``single``, else as ``double``.
+    corners, sizes : polygons as of ``MeshFile.polygons``.
+    normals : (n, 3), stored as ``float``; colours : (n, 3) or (n, 4).
+    fields : numbers (n,) by the names of their properties; stored as ``float``.
+    comments : lines of the header; characters that are not printable ASCII are escaped.
+    """
+    # Vertices that no face uses need not be finite.
+    positions: NDArray[Any] = as_float32(vertices) if single else vertices
+    real = "<f4" if single else "<f8"
+    columns: list[tuple[str, str, NDArray[Any]]] = []
+    columns += [(name, real, column) for name, column in zip(POSITION, positions.T, strict=True)]
+    if normals is not None:
+        columns += [(name, "<f4", column) for name, column in zip(NORMAL, normals.T, strict=True)]
+    if colours is not None:
+        columns += [(name, "u1", shade) for name, shade in zip(_SHADES, colours.T, strict=False)]
+    columns += [(name, "<f4", values) for name, values in (fields or {}).items()]
+    rows = np.empty(len(vertices), dtype=[(name, code) for name, code, _ in columns])
+    # Fields that are too large for the type become infinite, which readers accept.
+    with np.errstate(over="ignore"):
+        for name, _, values in columns:
+            rows[name] = values
+    texts = (comment.encode("ascii", "backslashreplace").decode() for comment in comments)
+    shown = ("".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts)
     count_type = "uint" if int(sizes.max()) > 255 else "uchar"
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {comment}" for comment in comments]
+    header += [f"comment {text[:_MAX_COMMENT]}" for text in shown]
     header += [f"element vertex {len(rows)}"]
     header += [f"property {_TYPES[code]} {name}" for name, code, _ in columns]
     header += [f"element face {len(sizes)}", f"property list {count_type} int vertex_indices"]
@@ -236,51 +263,3 @@ def write_ply(
     faces = bytearray()
     _append_binary(faces, lists, len(sizes), "<")
     return b"".join(("\n".join([*header, "end_header", ""]).encode(), rows.data, faces))
-
-
-def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
-    """The corners (c,) of polygons, concatenated, and the number of each polygon's (p,)."""
-    if isinstance(polygons, np.ndarray):
-        sizes = np.full(len(polygons), polygons.shape[1], dtype=np.int64)
-        return polygons.reshape(-1).astype(np.int64), sizes
-    sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
-    return np.concatenate(polygons).astype(np.int64), sizes
-
-
-_MAX_COMMENT = 1000
-
-
-def with_fields(
-    mesh_file: MeshFile,
-    vertices: Floats,
-    fields: Mapping[str, Floats],
-    colours: NDArray[np.uint8] | None = None,
-    comments: Sequence[str] = (),
-) -> Buffer:
-    """A binary PLY of the mesh with fields, and colours, at its vertices.
-
-    Parameters
-    ----------
-    mesh_file : the file with the polygons and the precision of positions.
-    vertices : (n, 3) positions in file order, file units.
-    fields : numbers (n,) by the names of their properties; stored as ``float``.
-    colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for no colours.
-    comments : lines of the header; characters that are not printable ASCII are escaped.
-    """
-    from msal_cli.codecs.slots import as_float32
-
-    is_single = mesh_file.precision == "float32"
-    positions: NDArray[Any] = as_float32(vertices) if is_single else vertices
-    real = "<f4" if is_single else "<f8"
-    columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
-    if colours is not None:
-        columns += [(name, "u1", colours[:, k]) for k, name in enumerate(("red", "green", "blue"))]
-    for name, values in fields.items():
-        # Values that are too large for the type become infinite, which readers accept.
-        with np.errstate(over="ignore"):
-            columns.append((name, "<f4", values.astype(np.float32)))
-    is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)
-    corners, sizes = corners_of(mesh_file.faces if is_triangulated else mesh_file.polygons())
-    texts = (comment.encode("ascii", "backslashreplace").decode() for comment in comments)
-    shown = ("".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts)
-    return write_ply(columns, corners, sizes, [text[:_MAX_COMMENT] for text in shown])

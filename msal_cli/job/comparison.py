@@ -85,12 +85,8 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
     area, volume = measures.area_and_volume(ready.mesh)
     enclosed = measures.enclosure_of(ready.mesh, defects, area, volume)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
-    polygons = mesh_file.polygons()
-    if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
-        sizes = {str(polygons.shape[1]): len(polygons)}
-    else:
-        found, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
-        sizes = {str(size): int(count) for size, count in zip(found, counts, strict=True)}
+    counts = np.bincount(mesh_file.polygons()[1])
+    sizes = {str(size): int(counts[size]) for size in np.flatnonzero(counts)}
     winding = "consistent"
     if defects.unorientable_parts:
         winding = "not orientable"
@@ -327,11 +323,12 @@ def build_heatmap(
         f"colours: map sequential, pale to dark for deviation {low:g} to {high:.6g} "
         f"(quantile {HEATMAP_QUANTILE:g}; the largest is {float(values.max()):.6g})",
     )
-    data = ply_write.with_fields(
-        after,
+    data = ply_write.write_ply(
         after.vertices,
-        {"deviation": values},
-        colours.map_colours(values, low, high, "sequential"),
-        comments,
+        *after.polygons(),
+        single=after.precision == "float32",
+        colours=colours.map_colours(values, low, high, "sequential"),
+        fields={"deviation": values},
+        comments=comments,
     )
     return data, low, high

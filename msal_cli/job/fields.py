@@ -126,8 +126,13 @@ def build_file(
         f"colours: map {kind.map}, {ends} for {name} {low:.6g} to {high:.6g} "
         f"(quantile {kind.quantile:g})"
     ]
-    data = ply_write.with_fields(
-        mesh_file, vertices, values, colours.map_colours(shown, low, high, kind.map), comments
+    data = ply_write.write_ply(
+        vertices,
+        *mesh_file.polygons(),
+        single=mesh_file.precision == "float32",
+        colours=colours.map_colours(shown, low, high, kind.map),
+        fields=values,
+        comments=comments,
     )
     digest = hashlib.sha256(data).hexdigest()
     return data, FieldsFile(path, tuple(values), name, kind.map, low, high, digest)

@@ -57,3 +57,9 @@ def any_integer(random: Random, low: int, high: int) -> int:
     """An integer from ``low`` to ``high``."""
     small = [n for n in (-1, 0, 1, 255) if low <= n <= high]
     return random.choice([low, high, *small, *(random.randint(low, high) for _ in range(6))])
+
+
+def polygons_of(file: MeshFile) -> list[np.ndarray]:
+    """The corners of each polygon, int32."""
+    corners, sizes = file.polygons()
+    return np.split(corners.astype(np.int32), np.cumsum(sizes[:-1]))

@@ -14,7 +14,7 @@ from msal_cli.codecs import obj
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
-from tests.codecs.patching import any_float, rewritten
+from tests.codecs.patching import any_float, polygons_of, rewritten
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 ROOF = b"""# two sides that meet at an edge, one normal each, and a face without any
@@ -61,7 +61,7 @@ def test_forms_of_a_face(line: bytes, polygon: list[int] | None) -> None:
     head = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
     file = obj.read(head + line + b"\n" + (b"4\n" if polygon is None else b"f 1 3 4\n"))
     wanted = [0, 1, 2, 3] if polygon is None else polygon
-    assert np.asarray(file.polygons()[0]).tolist() == wanted
+    assert np.asarray(polygons_of(file)[0]).tolist() == wanted
     assert file.faces[: len(wanted) - 2].tolist() == [
         [wanted[0], wanted[k], wanted[k + 1]] for k in range(1, len(wanted) - 1)
     ]
@@ -229,7 +229,7 @@ def read_in_pieces(data: bytes, n_pieces: int) -> tuple[MeshFile, bool]:
 
 
 def facts(file: MeshFile) -> list[object]:
-    corners = [list(polygon) for polygon in file.polygons()]
+    corners = [list(polygon) for polygon in polygons_of(file)]
     output = bytes(file.replaced(moved(file)))
     return [
         file.vertices.tolist(),
@@ -286,7 +286,7 @@ def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: fl
     plain = parsed(data)
     assert file.vertices.tolist() == plain.vertices
     assert file.faces.tolist() == plain.triangles()
-    assert [list(one) for one in file.polygons()] == plain.polygons
+    assert [list(one) for one in polygons_of(file)] == plain.polygons
     vertices = moved(file, seed, share, size=1e3)
     output = rewritten(file, vertices)
     is_moved = (vertices != file.vertices).any(axis=1)

@@ -5,7 +5,7 @@ import pytest
 
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import MsalError
-from tests.codecs.patching import patched, texts_between_numbers
+from tests.codecs.patching import patched, polygons_of, texts_between_numbers
 
 POINTS = ["0 0 0", "1 0 0", "0.0 1.0 0.0", "0 0 1"]
 FACES = ["3 0 2 1", "3 0 1 3", "3 1 2 3", "3 2 0 3"]
@@ -85,7 +85,7 @@ def test_colours_behind_plain_positions_are_kept_and_told_of():
 def test_faces_keep_their_colours_and_corners():
     faces = ["3 0 2 1 255 0 0", "4 0 1 3 2  0.1 0.2 0.3 1", "3 2 0 3"]
     file, _, output = patched(off("OFF\n4 3 0", faces=faces), "a.off")
-    assert [len(one) for one in file.polygons()] == [3, 4, 3]
+    assert [len(one) for one in polygons_of(file)] == [3, 4, 3]
     assert len(file.faces) == 4
     assert "face colours" in file.properties
     assert output.splitlines()[-3:] == [face.encode() for face in faces]

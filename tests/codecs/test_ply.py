@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from msal_cli.codecs import open_mesh, ply
-from msal_cli.codecs.ply_write import with_fields
+from msal_cli.codecs.ply_write import write_ply
 from msal_cli.errors import ContentError, InternalError, MsalError
 from tests.cli.scans import closed_scan, ply_text
 from tests.codecs import plain_ply
@@ -257,7 +257,9 @@ def test_positions_faces_numbers_and_colours_are_there():
     n = len(source.vertices)
     colours = np.arange(3 * n, dtype=np.uint8).reshape(n, 3)
     values = np.linspace(-1.0, 1.0, n)
-    data = with_fields(source, source.vertices, {"deviation": values}, colours, ["of a test"])
+    fields, comments = {"deviation": values}, ["of a test"]
+    surface = source.vertices, *source.polygons()
+    data = write_ply(*surface, single=False, colours=colours, fields=fields, comments=comments)
     again = ply.read(bytes(data))
     assert np.array_equal(again.vertices, source.vertices)
     assert np.array_equal(again.faces, source.faces)
@@ -271,7 +273,8 @@ def test_positions_faces_numbers_and_colours_are_there():
 
 def test_a_comment_cannot_end_the_header():
     source = ply.read(ply_text(*cube()))
-    data = with_fields(source, source.vertices, {}, None, ["a\nend_header\r\x1b[31m\u202e.ply"])
+    comments = ["a\nend_header\r\x1b[31m\u202e.ply"]
+    data = write_ply(source.vertices, *source.polygons(), single=False, comments=comments)
     assert data.count(b"\nend_header\n") == 1
     assert np.array_equal(ply.read(bytes(data)).vertices, source.vertices)
 

@@ -14,7 +14,7 @@ import pytest
 
 from msal_cli.codecs import open_mesh, vtk_xml
 from msal_cli.errors import MsalError
-from tests.codecs.patching import changed_lines, patched, texts_between_numbers
+from tests.codecs.patching import changed_lines, patched, polygons_of, texts_between_numbers
 from tests.shapes import grid, noisy, torus
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1]], dtype=float)
@@ -60,7 +60,7 @@ def test_polygonal_data(is_text, kind):
     writer.add("VERTICES 1 2", [1, 0]).add("LINES 1 3", [2, 0, 1])
     writer.add("POLYGONS 3 14", counted(rows))
     file, moved, output = patched(writer.data, "a.vtk")
-    assert [one.tolist() for one in file.polygons()] == rows
+    assert [one.tolist() for one in polygons_of(file)] == rows
     assert len(file.faces) == 5
     assert file.encoding == ("ascii" if is_text else "binary_big_endian")
     assert file.precision == {"float": "float32", "double": "float64"}[kind]
@@ -95,7 +95,7 @@ def test_unstructured_grids_with_pixels_and_volumes(is_text, version):
         writer.add(f"CELLS {len(cells)} {len(counted(cells))}", counted(cells))
     writer.add(f"CELL_TYPES {len(types)}", types)
     file, _, _ = patched(writer.data, "a.vtk")
-    assert [one.tolist() for one in file.polygons()] == [[0, 1, 3, 2], [0, 1, 3], *cells[4:]]
+    assert [one.tolist() for one in polygons_of(file)] == [[0, 1, 3, 2], [0, 1, 3], *cells[4:]]
     assert file.warnings[0].startswith("other cells (1 tetrahedron), kept; their corners move")
 
 

@@ -29,6 +29,7 @@ from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
+from tests.codecs.patching import polygons_of
 from tests.frozen import kept
 from tests.frozen.kept import ROOT, data_and_texts, digest
 from tests.frozen.sums import REAL
@@ -171,7 +172,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return steps
     file = opened["file"]
     moved = displaced(file.vertices)
-    attempt(steps, "polygons", lambda: (digest(*map(np.asarray, file.polygons())), ""))
+    attempt(steps, "polygons", lambda: (digest(*polygons_of(file)), ""))
     attempt(steps, "same", same)
     if attempt(steps, "replaced", replaced):
         attempt(steps, "check", lambda: check("output"))
