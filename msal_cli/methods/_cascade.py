@@ -200,11 +200,8 @@ def _check_sizes(stages: list[list[int]], count: int) -> None:
 # Evidence
 
 
-SINCS = ((20, 0.1), (30, 0.03))
-"""Iterations and pass bands of the windowed sincs."""
-
-MIN_LEVEL = 1e-3
-"""Smallest level of noise, mean edge lengths, that powers are compared with."""
+SINCS = ((20, 0.1), (30, 0.03))  # iterations and pass bands of the windowed sincs
+MIN_LEVEL = 1e-3  # smallest level of noise, mean edge lengths, that powers are compared with
 
 WHITE_POWERS = (1.17, 1.85, 3.2)
 """Mean squares of ``measure_ripples`` for white noise of level 1 on the lattice of valence 6."""

@@ -11,8 +11,7 @@ from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._sweeps import free_vertices
 
-FINAL_PASSES = 3
-"""Passes that fit the vertices again after their sliding is undone."""
+FINAL_PASSES = 3  # passes that fit the vertices again after their sliding is undone
 
 SIDEWAYS = 0.55
 """Largest ratio of tangential to normal noise at which noise counts as along the normals.
@@ -113,8 +112,7 @@ EVEN_REACH = 1.0
 """Mean edge lengths up to which that distance can be noise; beyond, the triangles are uneven by
 themselves (slivers at the hull of scattered points), and the vertex stays."""
 
-EVEN_MOLLIFY = 3
-"""Passes that average the vertex normals, which define the tangent planes."""
+EVEN_MOLLIFY = 3  # passes that average the vertex normals, which define the tangent planes
 
 
 def even_out(mesh: Mesh, passes: int) -> Mesh:

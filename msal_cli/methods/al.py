@@ -46,8 +46,6 @@ from msal_cli.methods._sweeps import HeightParameters, ScheduledParameters, heig
 
 @dataclass(frozen=True)
 class Parameters(ScheduledParameters, HeightParameters):
-    """Parameters of the anisotropic Laplacian."""
-
     scaling: str = fields.parameter(
         "none",
         "for meshes of mixed triangle sizes: steps by the area around a vertex, or by edge lengths",
@@ -62,7 +60,6 @@ class Parameters(ScheduledParameters, HeightParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """AL of ``mesh``; see the module's description."""
     time_step = parameters.scaled_step * mesh.mean_edge_length**2
     return run(
         mesh,

@@ -49,8 +49,6 @@ BYTES_PER_FACE = 195
 
 @dataclass(frozen=True)
 class Parameters(ScaleParameters):
-    """Parameters of anisotropic mean curvature diffusion."""
-
     has_own_step = True
 
     iterations: int = fields.iterations(
@@ -108,5 +106,4 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Anisotropic diffusion of ``mesh``; see the module's description."""
     return run(mesh, parameters, lambda: _operator(mesh, parameters), on_sweep)

@@ -42,8 +42,6 @@ from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
 
 @dataclass(frozen=True)
 class Parameters(ScheduledParameters):
-    """Parameters of the bilateral filters."""
-
     iterations: int = fields.iterations(
         5,
         "sweeps over all vertices; 3 in Huang and Ascher, up to 5 in Fleishman et al.",
@@ -126,5 +124,4 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Bilateral filtering of ``mesh``; see the module's description."""
     return run(mesh, parameters, lambda: _operator(mesh, parameters), on_sweep)

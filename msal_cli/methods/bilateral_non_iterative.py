@@ -37,8 +37,6 @@ BYTES_PER_FACE = 210
 
 @dataclass(frozen=True)
 class Parameters(ScaleParameters):
-    """Parameters of the non-iterative bilateral filter."""
-
     iterations: int = fields.iterations(
         1,
         "times that the whole filter is run; 1 in the paper",
@@ -65,7 +63,6 @@ class Parameters(ScaleParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The filter of Jones et al. over ``mesh``; see the module's description."""
     unit = mesh.mean_edge_length
     return run(
         mesh,

@@ -59,8 +59,6 @@ BYTES_PER_FACE = 265
 
 @dataclass(frozen=True)
 class Parameters(NormalFilterParameters):
-    """Parameters of the bilateral filters of normals."""
-
     variant: str = fields.parameter(
         "local",
         "average the normals over their neighbours, pass by pass; or solve for all at once",
@@ -121,7 +119,6 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The bilateral filter of the normals of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,

@@ -51,11 +51,8 @@ BYTES_PER_FACE = 760
 KEPT_PER_FACE = 30
 """Memory per triangle beyond that of the largest member: the sum so far, and fragmentation."""
 
-MAX_MEMBERS = 16
-"""Largest number of members."""
-
-STEPS = 100
-"""Steps of progress that are reported for each member."""
+MAX_MEMBERS = 16  # largest number of members
+STEPS = 100  # steps of progress that are reported for each member
 
 ROUNDING = 1e-9
 """Rounding error by which the sum of the weights may exceed 1."""
@@ -200,8 +197,6 @@ def _parse_weights(text: str, count: int) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of a blend."""
-
     members: str = fields.parameter(
         "0.5*guided_normal(similarity=0.45,iterations=5)+0.5*al(iterations=2,mollify=2)",
         "weights and methods with their parameters: W*METHOD(NAME=VALUE,...)+...",
@@ -248,7 +243,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The blend of what the members make of ``mesh``; see the module's description."""
     timer = Timer()
     levels = parse_levels(parameters.levels)
     members = parse_members(parameters.members, len(levels))

@@ -55,8 +55,6 @@ BYTES_PER_FACE = 385
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of guided normal filtering."""
-
     iterations: int = fields.iterations(
         20,
         "filterings of the normals, each with its passes over the vertices",
@@ -96,7 +94,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Guided normal filtering of ``mesh``; see the module's description."""
     timer = Timer()
     faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)

@@ -32,8 +32,6 @@ BYTES_PER_FACE = 10
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the HC algorithm."""
-
     iterations: int = fields.iterations(
         10, "times that all vertices are averaged and pushed back", "smoother"
     )
@@ -54,7 +52,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """HC smoothing of ``mesh``; see the module's description."""
     timer = Timer()
     ring_start, ring = ring_of(mesh, parameters.boundary)
     timer.start_sweeps()

@@ -60,8 +60,6 @@ BYTES_PER_FACE = 95
 
 @dataclass(frozen=True)
 class Parameters(NormalParameters):
-    """Parameters of the hybrid filter."""
-
     iterations: int = fields.iterations(
         6,
         "sweeps over all vertices, those before the clustering among them",
@@ -103,7 +101,6 @@ class Parameters(NormalParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The hybrid filter over ``mesh``; see the module's description."""
     timer = Timer()
     total = parameters.iterations
     first = min(parameters.presmooth, total)

@@ -54,8 +54,6 @@ BYTES_PER_FACE = 455
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of L0 minimisation."""
-
     iterations: int = fields.iterations(
         40,
         "steps in which beta grows from 0.001 to 1000; 40 are a factor of the square root of 2",
@@ -84,7 +82,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """L0 minimisation of ``mesh``; see the module's description."""
     timer = Timer()
     corners = flaps(mesh.faces, mesh.topology)
     edges = edge_sparsity(len(mesh.vertices), corners)

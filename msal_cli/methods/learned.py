@@ -51,14 +51,11 @@ BYTES_PER_FACE = 730
 MIN_KNOWN = 0.03
 """Level, mean edge lengths, below which the level of noise of an unknown kind counts as unknown."""
 
-STAGE_PASSES = 10
-"""Passes over the vertices between two stages, as in training."""
+STAGE_PASSES = 10  # passes over the vertices between two stages, as in training
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the learned filter."""
-
     iterations: int = fields.passes(
         3,
         "stages, each with its own network; beyond the third the last one again; 0 returns the "
@@ -81,7 +78,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The learned filter on ``mesh``; see the module's description."""
     timer = Timer()
     positions = mesh.vertices.copy()
     stages = parameters.iterations

@@ -51,8 +51,6 @@ BYTES_PER_FACE = 180
 
 @dataclass(frozen=True)
 class Parameters(ScaleParameters):
-    """Parameters of mean curvature flow."""
-
     has_own_step = True
 
     iterations: int = fields.iterations(
@@ -97,7 +95,6 @@ def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], obj
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Mean curvature flow of ``mesh``; see the module's description."""
     finished = 0
 
     def on_step(done: int, total: int) -> None:

@@ -36,8 +36,6 @@ from msal_cli.methods._sweeps import HeightParameters, ScheduleTraits, height_op
 
 @dataclass(frozen=True)
 class Parameters(ScheduleTraits, HeightParameters):
-    """Parameters of the multiscale anisotropic Laplacian."""
-
     K: float = fields.share(
         0.5,
         "factor by which the smoothing shrinks from sweep to sweep",
@@ -58,5 +56,4 @@ class Parameters(ScheduleTraits, HeightParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """MSAL of ``mesh``; see the module's description."""
     return run(mesh, parameters, lambda: height_operator(mesh, parameters), on_sweep)

@@ -47,8 +47,6 @@ BYTES_PER_FACE = 130
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the diffusion of normals."""
-
     iterations: int = fields.iterations(
         3,
         "rounds of diffusing the normals and fitting the vertices",
@@ -78,7 +76,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Diffusion of the normals of ``mesh``; see the module's description."""
     timer = Timer()
     faces, links = mesh.faces, mesh.topology
     rings = face_rings(faces, links, "edge")

@@ -36,8 +36,6 @@ BYTES_PER_FACE = 120
 
 @dataclass(frozen=True)
 class Parameters(NormalFilterParameters):
-    """Parameters of the threshold filter of normals."""
-
     threshold: float = fields.parameter(
         0.5,
         "cosine of the angle between normals at and beyond which a neighbour does not count",
@@ -50,7 +48,6 @@ class Parameters(NormalFilterParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The threshold filter of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,

@@ -30,8 +30,6 @@ from msal_cli.methods._sweeps import ScheduledRingParameters, ring_of, run
 
 @dataclass(frozen=True)
 class Parameters(ScheduledRingParameters):
-    """Parameters of the scale-dependent umbrella operator."""
-
     has_own_step = True
 
     iterations: int = fields.iterations(
@@ -43,7 +41,6 @@ class Parameters(ScheduledRingParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Scale-dependent umbrella smoothing of ``mesh``; see the module's description."""
     time_step = parameters.time_step * mesh.mean_edge_length**2
     return run(
         mesh,

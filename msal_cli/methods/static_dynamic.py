@@ -59,8 +59,6 @@ BYTES_PER_FACE = 1450
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the static/dynamic filter."""
-
     iterations: int = fields.iterations(
         5,
         "filterings of the normals, each with its passes over the vertices",
@@ -145,7 +143,6 @@ def _filtered_normals(
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Static/dynamic filtering of ``mesh``; see the module's description."""
     timer = Timer()
     around = patches(mesh.faces, mesh.topology)
 

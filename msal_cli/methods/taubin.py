@@ -37,8 +37,6 @@ LARGEST_PASS_BAND = 1.0
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of Taubin's filter."""
-
     iterations: int = fields.iterations(
         10, "pairs of a step inwards and a step outwards", "smoother"
     )
@@ -84,8 +82,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Taubin smoothing of ``mesh``; see the module's description."""
-
     def on_pass(done: int, total: int) -> None:
         if done % 2 == 0:
             on_sweep(done // 2, total // 2)

@@ -29,8 +29,6 @@ from msal_cli.methods._sweeps import ScheduledRingParameters, ring_of, run
 
 @dataclass(frozen=True)
 class Parameters(ScheduledRingParameters):
-    """Parameters of the umbrella operator."""
-
     iterations: int = fields.iterations(
         3,
         "sweeps over all vertices",
@@ -46,5 +44,4 @@ class Parameters(ScheduledRingParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Umbrella smoothing of ``mesh``; see the module's description."""
     return run(mesh, parameters, lambda: Umbrella(*ring_of(mesh, parameters.boundary)), on_sweep)

@@ -49,7 +49,6 @@ class Parameters(RestorationParameters):
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
     timer = Timer()

@@ -31,8 +31,6 @@ from msal_cli.methods._sweeps import ring_of
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the windowed sinc."""
-
     iterations: int = fields.iterations(
         20,
         "degree of the transfer function",
@@ -51,7 +49,6 @@ class Parameters:
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
-    """Smoothing of ``mesh`` by a windowed sinc; see the module's description."""
     timer = Timer()
     rings = ring_of(mesh, parameters.boundary)
     timer.start_sweeps()
