@@ -398,7 +398,6 @@ def resolve(path: Path) -> Path:
 
 
 def has_magic(text: str) -> bool:
-    """Whether ``text`` contains a wildcard."""
     return _MAGIC.search(text) is not None
 
 

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
-MAX_DELAY_S = 1.0
-"""Seconds after a signal at which `end_if_late` ends the process."""
+MAX_DELAY_S = 1.0  # seconds after a signal at which `end_if_late` ends the process
 
 # SIGBREAK is Ctrl-Break, and the only signal by which a program on Windows can ask another to end.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")

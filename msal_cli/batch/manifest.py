@@ -65,8 +65,7 @@ _ENTRY_KINDS = ("intent", "done")
 # more than the lines that count.
 _SPARE_LINES = 1000
 
-MAX_RUN_LINES = 100
-"""Lines about runs that are kept for reports; older ones are dropped."""
+MAX_RUN_LINES = 100  # lines about runs that are kept for reports; older ones are dropped
 
 SECONDS_BETWEEN_PARTS = 3.0
 """Seconds that a line may wait for others before it is written to a store."""
@@ -350,7 +349,6 @@ def to_builtin(value: Any) -> Any:
 
 
 def manifest_error(path: str, error: OSError) -> OutputError:
-    """The error for a manifest that cannot be read or written."""
     return OutputError(
         f"the manifest {path!r} cannot be used: {error.strerror}",
         hint="free some space and run again"

@@ -388,7 +388,6 @@ class Journal:
             manifest.append([line])
 
     def roll_back(self, index: int) -> str:
-        """Call ``roll_back`` for a task, with the stat of its file from the start of this run."""
         return roll_back(self._plan.tasks[index], self._stats.get(index))
 
     def _append(self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]) -> None:

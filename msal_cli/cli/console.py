@@ -73,7 +73,6 @@ def say_error(error: MsalError) -> None:
 
 
 def say_failure(name: str, failure: Failure) -> None:
-    """Print the failure of a file like an error."""
     from msal_cli.report.facts import failure_text, file_name
 
     _say_error_words(f"{file_name(name)}: {failure_text(failure)}", failure.hint)

@@ -73,7 +73,6 @@ class Msal(click.Group):
     def main(  # type: ignore[override]
         self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
     ) -> NoReturn:
-        """Run a command line to its end and exit."""
         arguments = tuple(sys.argv[1:] if args is None else args)
         if arguments[:1] == ("help",):
             arguments = (*arguments[1:2], "--help")
@@ -130,7 +129,6 @@ def _end(status: object) -> None:
 
 
 def _status(group: Msal, arguments: tuple[str, ...]) -> int:
-    """Run the command line and return its exit status."""
     try:
         if instruction := os.environ.get(COMPLETE_VARIABLE):
             from click.shell_completion import shell_complete

@@ -298,8 +298,7 @@ INPUTS = click.Argument(["inputs"], metavar="INPUT...", nargs=-1, required=True,
 
 # Options that contradict or need each other, as tables that one function reads
 
-AUTOMATIC = ("auto", "keep", "strength")
-"""Options of the automatic choice."""
+AUTOMATIC = ("auto", "keep", "strength")  # options of the automatic choice
 
 BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
 """Options that give a method and its parameters."""

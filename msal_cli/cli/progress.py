@@ -27,14 +27,12 @@ _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{rem
 _DELAY_S = 0.4
 _BETWEEN_S = 0.1
 
-_LOG_EVERY_S = 5.0
-"""Seconds between two lines in a log of many files."""
+_LOG_EVERY_S = 5.0  # seconds between two lines in a log of many files
 
 _SILENT_S = 15.0
 """Seconds without a line in a log after which the stage of the current file is printed."""
 
-_MAX_LINES = 200
-"""With more files than this, a log does not have a line for each."""
+_MAX_LINES = 200  # with more files than this, a log does not have a line for each
 
 _COUNTED = ("choose", "sweeps")
 
@@ -48,7 +46,6 @@ class Silent:
         """Show what happened to a file of a run."""
 
     def close(self) -> None:
-        """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
 

@@ -107,8 +107,7 @@ def command(request: Request) -> int:
     return console.worst_status(status, console.SOME_FAILED) if is_unfinished else status
 
 
-_MAX_LOOKED_AT = 10
-"""Files of a run by which its folder is found."""
+_MAX_LOOKED_AT = 10  # files of a run by which its folder is found
 
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 

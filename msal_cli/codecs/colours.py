@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 Colours = NDArray[np.uint8]
 
-UNPAINTED = (204, 204, 204)
-"""The colour of parts without colours beside parts that have some."""
+UNPAINTED = (204, 204, 204)  # the colour of parts without colours beside parts that have some
 
 _PLY_NAMES = (
     ("red", "green", "blue", "alpha"),
@@ -133,11 +132,8 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
 # look equally large.  Lightness is monotonic within a map (within each half of the diverging one),
 # so that values can be ordered without telling hues apart, and in print.
 
-SHADES = 256
-"""Colours in a map."""
-
-UNKNOWN = (128, 128, 128)
-"""The colour of NaN."""
+SHADES = 256  # colours in a map
+UNKNOWN = (128, 128, 128)  # the colour of NaN
 
 # Maps for values from a minimum, and for values with a sign.  Small values are pale, so that the
 # shading of a surface stays visible there.

@@ -11,8 +11,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 READABLE = ("ply", "obj", "stl", "glb", "gltf", "3mf", "off", "vtk", "vtu", "vtp")
 """Suffixes of the formats that are read, in the order of help."""
 
-OWN_FORMATS = READABLE[:6]
-"""Formats whose readers describe damaged content themselves."""
+OWN_FORMATS = READABLE[:6]  # formats whose readers describe damaged content themselves
 
 _MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
 _MODELLER = "convert it to PLY or glTF, for example with Blender or MeshLab"

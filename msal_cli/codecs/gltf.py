@@ -200,8 +200,6 @@ def _glb_head(text: bytes, size: int) -> bytes:
 
 
 class GlbFile(SceneFile):
-    """An opened GLB file."""
-
     format = "glb"
 
     def __init__(self, data: Buffer) -> None:
@@ -239,8 +237,7 @@ class GlbFile(SceneFile):
 
 _BASE64 = ";base64,"
 _DATA_URI = re.compile(rb'"data:[^"]*"')
-_MAX_BEHIND = 256 << 20
-"""Bytes after the declared end of a buffer that are kept, whatever its size."""
+_MAX_BEHIND = 256 << 20  # bytes after the declared end of a buffer that are kept, whatever its size
 
 _MAX_BUFFERS = 10_000
 _AS_GLB = "export it as .glb, which holds everything in one file"
@@ -325,8 +322,6 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
 
 
 class GltfFile(SceneFile):
-    """An opened .gltf file."""
-
     format = "gltf"
 
     def __init__(self, data: Buffer, path: str) -> None:

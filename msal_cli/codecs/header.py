@@ -24,8 +24,7 @@ from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
 
-_ALWAYS_BELIEVED = 256 << 20
-"""Bytes that the header of a compressed file may claim in any case."""
+_ALWAYS_BELIEVED = 256 << 20  # bytes that the header of a compressed file may claim in any case
 
 _GLB_CHUNK = 20
 _VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
@@ -37,8 +36,6 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Facts from the beginning of a file."""
-
     flavour: str  # the format, with ``-ascii`` for the text of a format that also has binary
     # least_bytes, most_bytes: how many bytes the file must and may have; None is unlimited
     least_bytes: int = 0
@@ -189,8 +186,7 @@ def _count_scene(text: bytes, size: int) -> dict[str, Any]:
     return {**counts, "n_vertices": n_vertices, "n_triangles": n_triangles}
 
 
-MAX_BEHIND = 256 << 20
-"""Bytes after the mesh that are kept, whatever the size of the mesh."""
+MAX_BEHIND = 256 << 20  # bytes after the mesh that are kept, whatever the size of the mesh
 
 
 def read_input(
@@ -281,8 +277,6 @@ _CONVERTED = 450
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """Facts and estimates of a file before it is loaded."""
-
     format: str = ""  # such as ``ply``; empty if it is not known
     # vertices, faces: counts of the header, polygons as the file counts them; None if it has none,
     # or counts more than the file has bytes for

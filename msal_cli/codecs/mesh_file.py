@@ -217,8 +217,7 @@ def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
     return triangles
 
 
-_NORMAL_SLACK = 1e-5
-"""How much the length of a new normal may differ from one."""
+_NORMAL_SLACK = 1e-5  # how much the length of a new normal may differ from one
 
 
 class MeshFile(Surface):
@@ -445,9 +444,13 @@ class MeshFile(Surface):
     def _changed_normals(self, vertices: Floats) -> list[Change]:
         if not self._layout.normals:
             return []
+        # The last ones are cached, because writing and checking need the same.
+        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
+        if self._last_normals[0] != key:
+            renew = self._layout.renew_normals or self._renew_normals
+            self._last_normals = key, list(renew(self.vertices, vertices))
         changes = []
-        renewed = self._new_normals(vertices)
-        for slots, (values, rows) in zip(self._layout.normals, renewed, strict=True):
+        for slots, (values, rows) in zip(self._layout.normals, self._last_normals[1], strict=True):
             is_changed = np.broadcast_to(rows[:, None], values.shape)
             if not slots.whole_rows:
                 is_changed = is_changed & (values != slots.values) & ~np.isnan(slots.values)
@@ -456,17 +459,6 @@ class MeshFile(Surface):
                 is_changed = is_changed & (values != slots.values)
             changes.append(Change(slots, values, is_changed))
         return changes
-
-    def _new_normals(self, vertices: Floats) -> Sequence[tuple[Floats, Flags]]:
-        """The result of ``Layout.renew_normals`` for new vertices (n, 3).
-
-        The last one is cached, because writing and checking need the same.
-        """
-        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
-        if self._last_normals[0] != key:
-            renew = self._layout.renew_normals or self._renew_normals
-            self._last_normals = key, list(renew(self.vertices, vertices))
-        return self._last_normals[1]
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
         """New positions for each array; rows that did not move are exactly as stored."""

@@ -49,8 +49,7 @@ from msal_cli.kernels.text import as_bytes
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
-_NO_LIMIT = 99
-"""No limit on the digits of a normal."""
+_NO_LIMIT = 99  # no limit on the digits of a normal
 
 
 Keywords = Mapping[bytes, tuple[int, int]]
@@ -87,8 +86,7 @@ _LINE = re.compile(rb"(?:[^\r\n\\]++|\\(?:\r\n|\r|\n)?+)*+")
 _LIBRARY = re.compile(r"\S.*?\.mtl(?=\s|$)|\S.*", re.IGNORECASE)
 _SHOWN = 3
 
-_MIN_PIECE = 1 << 22
-"""Bytes that are worth a thread."""
+_MIN_PIECE = 1 << 22  # bytes that are worth a thread
 
 _LOOKED_AT = 4096
 _ZEROS_LOOKED_AT = 1 << 16
@@ -107,8 +105,6 @@ def read(data: Buffer) -> MeshFile:
 
 @dataclass(eq=False)
 class _Positions(Statements):
-    """The positions of an OBJ file."""
-
     @functools.cached_property
     def decimals(self) -> int:
         """Decimals of new numbers: the usual ones of the file, or as many as its extent needs."""

@@ -40,8 +40,7 @@ from msal_cli.storage.regular import Buffer
 
 GRID = "range_grid"
 
-MAX_SPACINGS = 4.0
-"""Longest edge that joins two samples, in median edge lengths."""
+MAX_SPACINGS = 4.0  # longest edge that joins two samples, in median edge lengths
 
 _FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
 """The two triangles of four corners, along the first and along the second diagonal."""
@@ -333,8 +332,6 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
 
 @dataclass(eq=False, kw_only=True)
 class PlyLayout(mesh_file.Layout):
-    """The layout of a PLY file."""
-
     header: ply_header.Header
     # the elements by name; ``end`` is the byte after the last one
     sections: Mapping[str, Section] = field(repr=False)

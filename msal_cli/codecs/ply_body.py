@@ -21,8 +21,7 @@ from msal_cli.errors import FormatError, cut_short, format_count
 from msal_cli.kernels.parallel import at_once, is_worth_it, threads
 from msal_cli.light_dataclass import dataclass, field
 
-_SAMPLE = 4_096
-"""Bytes after an ascii header that are searched for binary data if a line is wrong."""
+_SAMPLE = 4_096  # bytes after an ascii header that are searched for binary data if a line is wrong
 
 ALL_DIGITS = 1_000
 """Significant digits that no file exceeds, so that numbers are written in fixed point."""
@@ -30,8 +29,7 @@ ALL_DIGITS = 1_000
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are needed, where storing places costs memory."""
 
-MAX_UNUSUAL = 5_000
-"""Records with unusual numbers, up to which each line keeps its own decimals."""
+MAX_UNUSUAL = 5_000  # records with unusual numbers, up to which each line keeps its own decimals
 
 
 class Places(NamedTuple):

@@ -101,8 +101,6 @@ class Element:
 
 @dataclass()
 class Header:
-    """A parsed header."""
-
     size: int  # bytes up to and including the line end of ``end_header``
     newline: bytes  # the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``
     encoding: str = ""  # one of ``ENCODINGS``, from the line ``format_line`` (from 0)

@@ -27,8 +27,7 @@ HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
 """One facet, 50 bytes without padding."""
 
-MAX_FACETS = (2**31 - 1) // 3
-"""Facets whose corners can be numbered with 32 bits."""
+MAX_FACETS = (2**31 - 1) // 3  # facets whose corners can be numbered with 32 bits
 
 MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Least bytes of text for a facet."""
@@ -37,16 +36,14 @@ _BEGIN = b"binary STL "
 _USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
-_AT_ONCE = 1 << 14
-"""Facets whose bytes, old and new, stay in the processor's cache."""
+_AT_ONCE = 1 << 14  # facets whose bytes, old and new, stay in the processor's cache
 
 _PADDING = 8
 _NAMED_SOLID = re.compile(
     rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
 )
 _WORD = re.compile(rb"\S+")
-_FINER = 2
-"""Decimals beyond those that the extent needs, for tiny numbers with an exponent."""
+_FINER = 2  # decimals beyond those that the extent needs, for tiny numbers with an exponent
 
 
 def read(data: Buffer) -> StlFile | StlTextFile:

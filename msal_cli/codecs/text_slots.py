@@ -143,12 +143,7 @@ class TextSlots(Slots):
         if width == 1 and not (starts[1:] > starts[:-1]).all():
             # The columns are in another order in the file.
             order = np.argsort(starts, kind="stable")
-            starts, rows, flags, decimals = (
-                starts[order],
-                rows[order],
-                flags[order],
-                decimals[order],
-            )
+            return Patch(starts[order], rows[order], flags[order], decimals[order])
         return Patch(starts, rows, flags, decimals)
 
 
@@ -401,11 +396,8 @@ def _cut(data: Bytes, patches: Sequence[Patch]) -> list[_Piece]:
     return pieces
 
 
-MAX_LINE = 4096
-"""Bytes before a run in which a line end is searched."""
-
-_LINES = 1 << 20
-"""Bytes in which line ends are counted at a time."""
+MAX_LINE = 4096  # bytes before a run in which a line end is searched
+_LINES = 1 << 20  # bytes in which line ends are counted at a time
 
 
 def _count_lines(text: Bytes) -> int:

@@ -23,8 +23,7 @@ from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
 from msal_cli.storage.regular import Buffer, memory_bytes
 
-LARGEST_RATIO = 40
-"""Expanded bytes of XML per byte of the archive; see docs/formats.md."""
+LARGEST_RATIO = 40  # expanded bytes of XML per byte of the archive; see docs/formats.md
 
 _MAX_RELATIONSHIPS = 1 << 20
 """Bytes of the relationships of a package; real ones have some hundreds."""
@@ -38,8 +37,7 @@ _ORIGIN_TYPE = (
 _ROOT = "_rels/.rels"
 
 
-_SEPARATOR = b"\0"
-"""Separates the texts of model parts, which do not contain this byte."""
+_SEPARATOR = b"\0"  # separates the texts of model parts, which do not contain this byte
 
 
 class _Coordinates(text_slots.TextSlots):

@@ -66,8 +66,7 @@ _STALE = {
 _PAINT = "triangle attributes"
 """Attributes of triangles besides their corners: colours, materials, paint of a slicer."""
 
-MAX_USES = 100_000
-"""Components and items of a part; large assemblies have some thousands."""
+MAX_USES = 100_000  # components and items of a part; large assemblies have some thousands
 
 UNITS = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in"}
 UNITS |= {"foot": "ft", "meter": "m"}

@@ -73,8 +73,7 @@ def parse(data: Buffer) -> Layout:
         "ascii" if is_text else "binary_big_endian",
         reader.precision,
         (reader.points,),
-        reader.surface.corners(),
-        reader.surface.sizes(),
+        *reader.surface.polygons(),
         (normals,) if normals is not None and has_normals else (),
         properties=tuple(reader.properties),
         warnings=(*reader.surface.warnings(), *reader.warnings),
@@ -402,13 +401,9 @@ class Cells:
             chosen = np.isin(types, own)
             self.add(kind, sizes[chosen], corners[np.repeat(chosen, sizes)])
 
-    def corners(self) -> Longs:
-        """The corners (c,) of all polygons, as the file numbers them."""
-        return np.concatenate(self._corners)
-
-    def sizes(self) -> Longs:
-        """The number of corners of each polygon (p,)."""
-        return np.concatenate(self._sizes)
+    def polygons(self) -> tuple[Longs, Longs]:
+        """The corners (c,) of all polygons, as the file numbers them, and how many each has."""
+        return np.concatenate(self._corners), np.concatenate(self._sizes)
 
     def describe(self, without: Sequence[str] = ()) -> str:
         """The cells except some kinds, such as ``"3 tetrahedra, 1 line"``."""

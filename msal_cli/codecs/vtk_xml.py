@@ -294,8 +294,7 @@ class _Source:
         return result
 
 
-Edit = tuple[Span, bytes]
-"""A place, and its new content."""
+Edit = tuple[Span, bytes]  # a place, and its new content
 
 Bound = Callable[[Floats], Any]
 
@@ -416,7 +415,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     if not parts:
         raise errors.no_faces("the file has no points")
     starts = np.cumsum([0, *(part.n_points for part in parts)])
-    corners = [part.cells.corners() + start for part, start in zip(parts, starts, strict=False)]
+    corners, sizes = zip(*(part.cells.polygons() for part in parts), strict=True)
     normals = [part.normals for part in parts if part.normals is not None]
     warnings = [warning for part in parts for warning in part.cells.warnings()]
     if 0 < len(normals) < len(parts):
@@ -430,8 +429,8 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
         tuple(part.points for part in parts),
-        np.concatenate(corners),
-        np.concatenate([part.cells.sizes() for part in parts]),
+        np.concatenate([own + start for own, start in zip(corners, starts, strict=False)]),
+        np.concatenate(sizes),
         tuple(normals),
         properties=tuple(dict.fromkeys(name for part in parts for name in part.properties)),
         warnings=tuple(dict.fromkeys(warnings)),
@@ -453,8 +452,6 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
 
 
 class _Piece:
-    """A piece of a grid."""
-
     def __init__(self, piece: Element, coding: Coding) -> None:
         self.n_points = _count(piece, "NumberOfPoints")
         self.cells = Cells()

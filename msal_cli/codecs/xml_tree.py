@@ -17,8 +17,7 @@ from msal_cli.errors import TooLargeError, UnsupportedError, cut_short, damaged
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
-MAX_ELEMENTS = 1_000_000
-"""The tree of more elements would take more memory than meshes take."""
+MAX_ELEMENTS = 1_000_000  # the tree of more elements would take more memory than meshes take
 
 _MAX_DEPTH = 100
 # Expat reports these errors only at the end of the data.
@@ -34,8 +33,6 @@ _ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An element and its place in the file."""
-
     space: str  # space, name: its namespace and its local name
     name: str
     # by name, which begins with the namespace and a blank if the attribute has one

@@ -22,11 +22,8 @@ from msal_cli.storage.regular import Buffer
 
 _LOCAL, _END, _END_64, _DESCRIPTOR = b"PK\x03\x04", b"PK\x05\x06", b"PK\x06\x06", b"PK\x07\x08"
 _LOCAL_SIZE, _ENTRY_SIZE, _END_SIZE, _LOCATOR_SIZE = 30, 46, 22, 20
-_SEE_EXTRA = 0xFFFFFFFF
-"""This value of a size or an offset means that it is in the ZIP64 field."""
-
-_LEVEL = 5
-"""Compression level: for a million faces 0.4 % larger than level 6, in 0.6 of its time."""
+_SEE_EXTRA = 0xFFFFFFFF  # this value of a size or an offset means that it is in the ZIP64 field
+_LEVEL = 5  # compression level: for a million faces 0.4 % larger than level 6, in 0.6 of its time
 
 _IS_ENCRYPTED, _HAS_DESCRIPTOR = 1, 8
 _REPACK = "pack it again as a plain zip archive"
@@ -39,8 +36,6 @@ Numbers = dict[str, int]
 
 
 class Archive:
-    """A parsed archive."""
-
     def __init__(self, data: Buffer) -> None:
         self._data = memoryview(data).cast("B")
         file = io.BytesIO(data)

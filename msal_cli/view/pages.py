@@ -30,8 +30,7 @@ _SPLIT_KEYS = (
     "<kbd>2</kbd> half, <kbd>3</kbd> after"
 )
 
-STILL_SIZE = 560
-"""Largest width in pixels of a panel in the picture of a page."""
+STILL_SIZE = 560  # largest width in pixels of a panel in the picture of a page
 
 _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
 

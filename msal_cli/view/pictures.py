@@ -41,8 +41,7 @@ _MIN_BRIGHTNESS = 16
 """If all colours of a file are darker, they would hide the shape; programs write such colours where
 none are meant."""
 
-_MIN_TALLNESS, _MAX_TALLNESS = 0.6, 1.4
-"""Range of the ratio of height to width of a panel."""
+_MIN_TALLNESS, _MAX_TALLNESS = 0.6, 1.4  # range of the ratio of height to width of a panel
 
 # Rounding error of a position after a few operations, relative to the largest coordinate.
 _ROUNDING = 1e-13

@@ -17,8 +17,7 @@ from msal_cli.light_dataclass import dataclass
 MARGIN = 0.04
 """Share of the picture's width and height that is left free on each side."""
 
-_MAX_GUESS_FACES = 60_000
-"""Faces that are examined to guess up and front."""
+_MAX_GUESS_FACES = 60_000  # faces that are examined to guess up and front
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,8 +280,7 @@ _LIGHTS = {
 
 CREASE_DEG = 80.0
 
-SAMPLES = 2
-"""Samples along each side of a pixel."""
+SAMPLES = 2  # samples along each side of a pixel
 
 _HOLLOWS = ((0.008, 0.32), (0.022, 0.45), (0.055, 0.45))
 """Radii for ambient occlusion, in picture sides, and how much each one darkens."""
@@ -290,8 +288,7 @@ _HOLLOWS = ((0.008, 0.32), (0.022, 0.45), (0.055, 0.45))
 _UNNOTICED = 0.03
 """Share of the radius by which occluders are ignored: the facets of a round wall differ so much."""
 
-_DIRECTIONS = 8
-"""Lines through a pixel along which occluders are sampled."""
+_DIRECTIONS = 8  # lines through a pixel along which occluders are sampled
 
 
 def shade(

@@ -40,8 +40,6 @@ _DEVIATION_STEPS = 65535
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """A scene as text."""
-
     text: str  # base64: characters without a special meaning in HTML or JSON
     counts: tuple[tuple[int, int], ...]  # faces of each mesh in its file, and on the page
     # the largest rounding error of a coordinate on the page, file units
@@ -198,8 +196,7 @@ def _deviation(
 # would look better than they are.
 
 
-_MIN_COSINE = 0.25
-"""Least cosine of the angle by which a contraction may turn a face."""
+_MIN_COSINE = 0.25  # least cosine of the angle by which a contraction may turn a face
 
 _CHECKS = 3
 """Times that contractions are checked against one another; those that still fail are undone."""
@@ -210,8 +207,7 @@ only where the noise is larger than the edges and the surface is folded anyway."
 
 _ROUNDS = 60
 
-_PASSES = 3
-"""Times per round that vertices without a partner are paired."""
+_PASSES = 3  # times per round that vertices without a partner are paired
 
 _TAKEN = -2
 

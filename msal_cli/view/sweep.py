@@ -49,8 +49,6 @@ Filter = tuple[Method | None, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Cell:
-    """The numbers of one denoised mesh."""
-
     parameters: dict[str, Any]  # those that vary between cells; of a choice all
     command: str  # the command line that makes the mesh; OUT is the file to write
     # mean_displacement, mean_displacement_edges: in file units and in mean edge lengths
@@ -65,8 +63,6 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The parameters to try on a mesh."""
-
     method: Method  # of ``methods``
     fixed: Mapping[str, object]  # parameters that are the same in all cells
     # the values of varying parameters by name: along rows and columns, or along columns only
