@@ -70,18 +70,16 @@ def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     return BASE_BYTES + sum(max(0, need - BASE_BYTES) for need in needs)
 
 
+@dataclass(eq=False)
 class SetRun:
     """One run over a set; a *place* is the index of a file among those that could be read."""
 
-    def __init__(
-        self,
-        tasks: Sequence[Task],
-        settings: Settings,
-        on_event: OnEvent = lambda event: None,
-        limits: Limits = NO_LIMITS,
-    ) -> None:
-        self._tasks, self._settings = tasks, settings
-        self._on_event, self._limits = on_event, limits
+    tasks: Sequence[Task]
+    settings: Settings
+    on_event: OnEvent = lambda event: None
+    limits: Limits = NO_LIMITS
+
+    def __post_init__(self) -> None:
         self._members: list[Member] = []
         # Vertices (n, 3), faces (m, 3) and properties of each member, until they are joined.
         self._arrays: list[tuple[Floats, Ints, dict[str, Floats]]] = []
@@ -93,7 +91,7 @@ class SetRun:
             self._find_scratch()
         except MsalError as error:
             return self._fail_rest(error)
-        for index in range(len(self._tasks)):
+        for index in range(len(self.tasks)):
             self._scan(index)
             self._arrays.clear()
         for member, part in zip(self._members, self._describe()[1], strict=True):
@@ -108,12 +106,12 @@ class SetRun:
         A file that cannot be read fails; border vertices that it may share stay where they are.
         Once ``max_failures`` files cannot be read, nothing is written, and only they have records.
         """
-        limit = self._limits.memory_bytes
+        limit = self.limits.memory_bytes
         if limit is not None:  # the memory that this process had before does not count
             limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
             with limited_memory(limit), use_scratch(self._find_scratch()):
-                for index in range(len(self._tasks)):
+                for index in range(len(self.tasks)):
                     self._scan(index)
                 has_given_up = max_failures is not None and len(self._records) >= max_failures
                 if self._members and not has_given_up:
@@ -125,25 +123,25 @@ class SetRun:
         return self._records
 
     def _find_scratch(self) -> Scratch | None:
-        work = f"denoising these {len(self._tasks):,} files as one"
-        needed = memory_of_set(self._tasks, self._settings)
-        return find_scratch(work, needed, self._limits, self._tasks[0].output)
+        work = f"denoising these {len(self.tasks):,} files as one"
+        needed = memory_of_set(self.tasks, self.settings)
+        return find_scratch(work, needed, self.limits, self.tasks[0].output)
 
     def _fail_rest(self, error: Exception) -> dict[int, MeshRecord]:
         """The set fails as a whole: every file without a failure of its own gets this one."""
         failure = Failure.of(to_known_error(error, "the tile set"))
-        for index, task in enumerate(self._tasks):
+        for index, task in enumerate(self.tasks):
             if index not in self._records:
-                self._records[index] = start_record(task.input, self._settings, error=failure)
+                self._records[index] = start_record(task.input, self.settings, error=failure)
         return self._records
 
     def _progress_of(self, index: int) -> OnProgress:
-        return lambda stage, done, total: self._on_event(Progress(index, stage, done, total))
+        return lambda stage, done, total: self.on_event(Progress(index, stage, done, total))
 
     def _scan(self, index: int) -> None:
         """Read a file for the first time; add a member, or the record of a failure."""
-        task = self._tasks[index]
-        run = FileRun(task.input, self._settings, self._progress_of(index))
+        task = self.tasks[index]
+        run = FileRun(task.input, self.settings, self._progress_of(index))
         try:
             mesh_file, _ = run.open(run.read(task))
             with run.stage("connectivity"):
@@ -151,10 +149,10 @@ class SetRun:
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
                 )
                 # Properties that --lock and --weights name; coordinates are in any file.
-                locks = map(parse_lock, self._settings.lock)
+                locks = map(parse_lock, self.settings.lock)
                 names = {lock.name for lock in locks if lock and lock.name not in AXES}
-                if self._settings.weights is not None:
-                    names.add(self._settings.weights)
+                if self.settings.weights is not None:
+                    names.add(self.settings.weights)
                 properties = {name: mesh_file.vertex_property(name) for name in sorted(names)}
             arrays = mesh_file.vertices, mesh_file.faces, properties
             record = run.finish(None)
@@ -212,7 +210,7 @@ class SetRun:
         counts = [member.record.vertices or 0 for member in self._members]
         starts = [0, *itertools.accumulate(counts)]
         on_progress = self._progress_of(self._members[0].index)
-        run = FileRun("the tile set", self._settings, on_progress)
+        run = FileRun("the tile set", self.settings, on_progress)
         moved = run.move_vertices(*self._join(shared, starts))
         joint = run.finish(None)
         known = {name: getattr(joint, name) for name in _OF_SET}
@@ -297,7 +295,7 @@ class SetRun:
         ``known`` are fields that the records of all files of the set share.
         """
         task = member.task
-        run = FileRun(task.input, self._settings, self._progress_of(member.index))
+        run = FileRun(task.input, self.settings, self._progress_of(member.index))
         try:
             data = run.read(task)
             mesh_file, is_compressed = run.open(data)
@@ -310,7 +308,7 @@ class SetRun:
             with run.stage("connectivity"):
                 ready = run.prepare_mesh(mesh_file)
             with run.stage("measure"):
-                vertices = output.as_stored(mesh_file, self._settings, task.output, vertices)
+                vertices = output.as_stored(mesh_file, self.settings, task.output, vertices)
                 moved = at_other_positions(ready, vertices).vertices
                 run.know_changes(changes.measure(ready, moved, ready.mesh), ready, moved)
                 run.know(seam_gap=ready.seam_gap(vertices), **known)
@@ -337,7 +335,7 @@ class SetRun:
         gaps = shared.distances(written)
         gaps[np.isnan(written).any(axis=1) & shared.is_shared] = np.nan
         failed = sorted(i for i, record in self._records.items() if record.status == "failed")
-        names = [self._tasks[index].relative for index in failed]
+        names = [self.tasks[index].relative for index in failed]
         notes = [f"the tile set: {warning}" for warning in warnings]
         for place, member in enumerate(self._members):
             record = self._records[member.index]

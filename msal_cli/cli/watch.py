@@ -32,6 +32,7 @@ from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.settings import output_name
+from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -144,13 +145,8 @@ class _Watch:
             with interrupts.catch_signals():
                 # Keep the folder locked until the end, so that no other run works on it.
                 self._manifests[request.output] = open_folder(request.output, stack)
-            inbox = Inbox(
-                request.folder,
-                request.output,
-                request.include,
-                request.exclude,
-                settle_s=request.settle or 0.0,
-            )
+            patterns = request.include, request.exclude
+            inbox = Inbox(request.folder, request.output, request.settle or 0.0, patterns)
             if not request.quiet:
                 console.say(f"watching {request.folder}; Ctrl-C ends it")
             try:
@@ -298,29 +294,17 @@ def _check_folders(folder: str, output: str) -> None:
         )
 
 
+@dataclass(eq=False)
 class Inbox:
     """The mesh files of a folder and its subfolders, as ``discover_inputs`` finds them, each once
-    per content; files with names of unfinished files are skipped.
+    per content; files with names of unfinished files are skipped."""
 
-    Parameters
-    ----------
-    output : the folder for the outputs; files below it are skipped.
-    settle_s : seconds for which size and time of a file must not change.
-    """
+    folder: str
+    output: str  # the folder for the outputs; files below it are skipped
+    settle_s: float  # seconds for which size and time of a file must not change
+    patterns: tuple[Sequence[str], Sequence[str]] = ((), ())  # to include, and to exclude
 
-    def __init__(
-        self,
-        folder: str,
-        output: str,
-        include: Sequence[str] = (),
-        exclude: Sequence[str] = (),
-        *,
-        settle_s: float,
-    ) -> None:
-        self._folder = folder
-        self._output = output
-        self._patterns = include, exclude
-        self._settle_s = settle_s
+    def __post_init__(self) -> None:
         # When (monotonic s) size and time of a file were first as now; None once it is taken.
         self._known: dict[str, tuple[FileStat, float | None]] = {}
         self._is_listable = True
@@ -352,13 +336,13 @@ class Inbox:
             before, since = self._known.get(file.path, (None, now))
             if before != stat:
                 since = now
-            elif since is not None and now - since >= self._settle_s:
+            elif since is not None and now - since >= self.settle_s:
                 complete.append((stat.mtime_ns, file))
                 since = None
             known[file.path] = stat, since
         # A folder that cannot be listed now may come back with its files.
         self._known = known if self._is_listable else self._known | known
-        wait_s = min(_LISTED_EVERY_S, max(self._settle_s, 0.1))
+        wait_s = min(_LISTED_EVERY_S, max(self.settle_s, 0.1))
         spent = time.monotonic() - now
         self._next_listing = now + spent + max(wait_s, spent / _SHARE_OF_LISTING)
         return [file for _, file in sorted(complete, key=lambda item: (item[0], item[1].path))]
@@ -375,7 +359,7 @@ class Inbox:
 
         try:
             found = discover_inputs(
-                [self._folder], *self._patterns, output=self._output, failures=unlisted, warn=warn
+                [self.folder], *self.patterns, output=self.output, failures=unlisted, warn=warn
             )
         except NothingMatched:
             found = ()

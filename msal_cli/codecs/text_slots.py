@@ -147,22 +147,6 @@ class TextSlots(Slots):
         return Patch(starts, rows, flags, decimals)
 
 
-def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    """The values (q,) of words; FormatError, with the line, for one that is not a number."""
-    from msal_cli.kernels.text import read_numbers
-
-    values, bad = read_numbers(data, starts, stops)
-    if bad >= 0:
-        at = int(starts[bad])
-        word = data[at : stops[bad]].tobytes()
-        raise FormatError(
-            f"{word[:40].decode('ascii', 'backslashreplace')!r} is not a number",
-            where=f"line {line_of(data, at)}",
-            hint=number_hint(word),
-        )
-    return values
-
-
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
     """The hint for a word that is not a number: it may have a decimal comma, or a comma that
     separates it from the next."""
@@ -505,21 +489,34 @@ class Words:
             raise damaged(f"{shown!r} is not the number of {what}", self.where(i))
         return int(word)
 
+    def floats(self, chosen: slice | Longs) -> Floats:
+        """The values (q,) of words; FormatError, with the line, for one that is not a number."""
+        from msal_cli.kernels.text import read_numbers
+
+        values, bad = read_numbers(self.data, self.starts[chosen], self.stops[chosen])
+        if bad >= 0:
+            i = np.arange(len(self))[chosen][bad]
+            word = self.word(i)
+            shown = word[:40].decode("ascii", "backslashreplace")
+            raise FormatError(
+                f"{shown!r} is not a number", where=self.where(i), hint=number_hint(word)
+            )
+        return values
+
     def integers(self, chosen: slice | Longs) -> Longs:
         """Words as whole numbers; FormatError for a word that is not one."""
-        starts = self.starts[chosen]
-        values = parse_floats(self.data, starts, self.stops[chosen])
+        values = self.floats(chosen)
         wrong = ~(np.abs(values) < 2.0**53) | (values != np.rint(values))
         if wrong.any():
-            at = int(starts[int(np.argmax(wrong))])
-            raise damaged("a whole number is expected", f"line {line_of(self.data, at)}")
+            first = np.arange(len(self))[chosen][int(np.argmax(wrong))]
+            raise damaged("a whole number is expected", self.where(first))
         return values.astype(np.int64)
 
     def float_rows(self, first: Longs, kind: type[_Slots], **more: Any) -> _Slots:
         """Rows of three numbers; ``first`` (n,) are the indices of their first words, ``more``
         other fields of the ``kind`` of slots."""
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
-        values = parse_floats(self.data, self.starts[chosen], self.stops[chosen]).reshape(-1, 3)
+        values = self.floats(chosen).reshape(-1, 3)
         return kind(self.data, self.starts[first], values=values, **more)
 
 
