@@ -234,8 +234,7 @@ def completion(request: Request) -> int:
     from msal_cli.cli.main import COMPLETE_VARIABLE
 
     kind = get_completion_class(request.shell)
-    if kind is None:
-        raise click.UsageError(f"there is no completion for {request.shell}")
+    assert kind is not None  # for each of the choices
     program = request.context.find_root().command
     console.put(kind(program, {}, "msal", COMPLETE_VARIABLE).source())
     return console.SUCCESS

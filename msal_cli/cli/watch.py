@@ -17,17 +17,8 @@ import click
 from msal_cli.batch import interrupts
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
 from msal_cli.batch.manifest import FileStat, Manifest
-from msal_cli.cli import console
+from msal_cli.cli import console, denoise
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.denoise import (
-    HOW_TO_DENOISE,
-    MESSAGES_AND_HELP,
-    build_settings,
-    check_request,
-    log_record,
-    plan_files,
-    read_limits,
-)
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
@@ -83,7 +74,7 @@ more:
 """,
         output={"required": True},
     ),
-    *HOW_TO_DENOISE,
+    *denoise.HOW_TO_DENOISE,
     group(
         "Many files",
         """
@@ -102,7 +93,7 @@ more:
 --fields
 """,
     ),
-    MESSAGES_AND_HELP,
+    denoise.MESSAGES_AND_HELP,
     arguments=[click.Argument(["folder"], metavar="FOLDER", type=PATH)],
 )
 def command(request: Request) -> int:
@@ -125,9 +116,9 @@ class _Watch:
     def __init__(self, request: Request) -> None:
         self._request = request
         _check_folders(request.folder, request.output)
-        check_request(request, None)
-        self._limits = read_limits(request)
-        self._settings = build_settings(request, ())
+        denoise.check_request(request, None)
+        self._limits = denoise.read_limits(request)
+        self._settings = denoise.build_settings(request, ())
         self._max_failures: int | None = 1 if request.fail_fast else request.max_failures
         # The input of each output, by the output's path.
         self._sources: dict[str, str] = {}
@@ -187,7 +178,7 @@ class _Watch:
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
         """One plan for all files; if some cannot be planned, one for each that can."""
         try:
-            plan = plan_files(self._request, self._settings, files)
+            plan = denoise.plan_files(self._request, self._settings, files)
             for task in plan.tasks:
                 source = self._sources.setdefault(os.path.normcase(task.output), task.input)
                 if source != task.input and os.path.lexists(source):
@@ -270,7 +261,7 @@ class _Watch:
             shown = escape_for_display(f"{name} -> {record.output}")
             console.say(f"{shown}: {file_text(record)}")
         else:
-            log_record(record)
+            denoise.log_record(record)
 
     def _is_given_up(self) -> bool:
         return self._max_failures is not None and self._n_new_failures >= self._max_failures

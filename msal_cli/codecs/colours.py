@@ -1,11 +1,8 @@
 """Colours of vertices, for conversions and pictures, and colour maps for numbers.  The codecs
 themselves keep colours as bytes."""
 
-from __future__ import annotations
-
 import functools
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +10,6 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
-
-if TYPE_CHECKING:
-    from msal_cli.codecs.gltf import SceneFile
 
 Colours = NDArray[np.uint8]
 
@@ -41,9 +35,7 @@ def vertex_colours(mesh_file: MeshFile) -> Colours | None:
     if mesh_file.format == "obj" and "vertex colours" in mesh_file.properties:
         return _of_obj(mesh_file)
     if mesh_file.format in SCENES:
-        from msal_cli.codecs.gltf import SceneFile
-
-        return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
+        return _of_gltf(mesh_file)
     return None
 
 
@@ -71,9 +63,8 @@ def _of_ply(mesh_file: MeshFile) -> Colours | None:
 
 
 def _of_obj(mesh_file: MeshFile) -> Colours | None:
-    data = bytes(mesh_file.replaced(mesh_file.vertices))
     rows = []
-    for line in _CONTINUED.sub(b" ", data).splitlines():
+    for line in _CONTINUED.sub(b" ", bytes(mesh_file.data)).splitlines():
         words = line.split(None, 8)
         if words and words[0] == b"v":
             # x y z r g b, or x y z w r g b
@@ -87,12 +78,14 @@ def _of_obj(mesh_file: MeshFile) -> Colours | None:
     return _to_bytes(colours, 255.0 if colours.max(initial=0.0) <= 1.0 else 1.0)
 
 
-def _of_gltf(scene_file: SceneFile) -> Colours | None:
+def _of_gltf(mesh_file: MeshFile) -> Colours | None:
     """COLOR_0 of all parts, which is linear light, converted to sRGB bytes; with alpha if any of it
     is not opaque."""
+    from msal_cli.codecs.gltf import SceneFile
     from msal_cli.codecs.gltf_scene import as_dict, as_dicts
 
-    scene, has_colours = scene_file.scene, False
+    assert isinstance(mesh_file, SceneFile)
+    scene, has_colours = mesh_file.scene, False
     primitives = [
         as_dict(primitive.get("attributes"))
         for mesh in as_dicts(scene.content.get("meshes"))

@@ -398,11 +398,7 @@ def find_sections(
 
 
 def section_at(part: Part, names: Sequence[str]) -> Section:
-    """The section of one element.
-
-    ``names`` are the properties whose places are needed, where storing places costs memory.
-    Raises as ``find_sections`` does.
-    """
+    """The section of one element; ``names`` are as of ``Wanted``.  Raises as ``find_sections``."""
     if part.header.encoding != "ascii":
         return _records(part, names)
     kept = part.kept_names(names)

@@ -204,8 +204,6 @@ class Scattered(RecordSlots):
 
     @property
     def span(self) -> tuple[int, int]:
-        if not len(self.at[0]):
-            return 0, 0
         sizes = [np.dtype(code).itemsize for code in self.codes]
         stop = max(int(at.max()) + size for at, size in zip(self.at, sizes, strict=True))
         return min(int(at.min()) for at in self.at), stop

@@ -11,13 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis.measures import (
-    Enclosure,
-    at_other_positions,
-    displacement,
-    measure_enclosure,
-    measure_surface_change,
-)
+from msal_cli.analysis import measures
 from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
@@ -125,7 +119,7 @@ class Subject:
     ready: PreparedMesh
     reference: Mesh | None
     camera: Camera
-    enclosed: Enclosure
+    enclosed: measures.Enclosure
 
 
 def subject(
@@ -143,9 +137,9 @@ def subject(
                 hint="give the mesh from which the noisy one was made",
             )
         prepare_mesh(reference, reference_name)
-        truth = at_other_positions(ready, reference.vertices)
+        truth = measures.at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
-    return Subject(name, ready, truth, camera, measure_enclosure(ready))
+    return Subject(name, ready, truth, camera, measures.measure_enclosure(ready))
 
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh, Filter]]:
@@ -165,7 +159,7 @@ def choice_cells(on: Subject, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh,
     """As ``cells``, for each of ``CHOICES`` and the mesh in an open file."""
     for choice, (name, words) in CHOICES.items():
         run = FileRun(on.name, Settings(name))
-        moved = at_other_positions(on.ready, run.move_vertices(mesh_file))
+        moved = measures.at_other_positions(on.ready, run.move_vertices(mesh_file))
         used = run.finish(None).method
         assert used is not None
         cell = replace(_measure(on, moved, used.parameters, words), choice=choice)
@@ -177,8 +171,8 @@ def _measure(
 ) -> Cell:
     mesh = on.ready.mesh
     source = on.name if not on.name.startswith("-") else f"./{on.name}"
-    change = on.enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
-    mean = displacement(mesh, moved).mean
+    change = on.enclosed.change(mesh, moved, measures.measure_surface_change(mesh, moved))
+    mean = measures.displacement(mesh, moved).mean
     volume = volume_changed(
         change.volume_before,
         change.volume_after,
@@ -187,7 +181,7 @@ def _measure(
     )
     error = None
     if on.reference is not None:
-        error = measure_surface_change(on.reference, moved).mean_angular_error_deg
+        error = measures.measure_surface_change(on.reference, moved).mean_angular_error_deg
     return Cell(
         parameters=dict(parameters),
         command=shlex.join(("msal", "denoise", source, "-o", "OUT", *options)),
@@ -225,7 +219,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         words += f" ({', '.join(notes)})" if notes else ""
         (sides if cell.choice else cells).append((image, words, lines))
     if on.reference is not None:
-        error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
+        error = measures.measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((pictures.panel(on.reference, on.camera, view), "reference", [words]))
     empty: Panel = (np.full_like(sides[0][0], WHITE), "", [])
