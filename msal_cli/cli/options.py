@@ -14,8 +14,7 @@ from msal_cli.errors import UsageError
 from msal_cli.job.settings import AXES, METRES, SELF_INTERSECTIONS, is_mesh_name, parse_input_format
 from msal_cli.storage import urls
 
-STREAM = "-"
-"""The name of standard input and standard output."""
+STREAM = "-"  # the name of standard input and standard output
 
 _MAX_JOBS = 4096
 _MAX_DIGITS = 15
@@ -182,8 +181,7 @@ _TYPES: dict[str, Any] = {
 _HEAD = r"(-[^\s,]+(?:, -\S+)*)(?: (?!\.\.\.|=|->)(\S+))?( \.\.\.)?(?: = (\S+))?(?: -> (\w+))?"
 """Flags, the word for the value, whether the option is repeatable, its default, its parameter."""
 
-MESSAGES = "Messages and help"
-"""The group that ``-h`` and ``--help-all`` belong to."""
+MESSAGES = "Messages and help"  # the group that ``-h`` and ``--help-all`` belong to
 
 
 class OptionGroup(NamedTuple):

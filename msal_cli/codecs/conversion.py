@@ -43,8 +43,7 @@ _ENCODINGS = {
 }
 """Encodings of each format, the default one first."""
 
-WRITABLE = tuple(_ENCODINGS)
-"""Formats that can be written, in the order of help."""
+WRITABLE = tuple(_ENCODINGS)  # formats that can be written, in the order of help
 
 _SINGLE = ("glb", "gltf", "stl")
 

@@ -22,8 +22,7 @@ _CONVERTERS = {
 }
 """Formats that are known but not read, and how to convert them."""
 
-SCENES = {"glb", "gltf"}
-"""Two containers for the same content."""
+SCENES = {"glb", "gltf"}  # two containers for the same content
 
 _WIDE_TEXT = re.compile(rb"\xff\xfe(?:[^\0]\0){4}|\xfe\xff(?:\0[^\0]){4}")
 """The beginning of a text in UTF-16; no binary format has it."""

@@ -160,8 +160,7 @@ def _renew_normals(
     return normals, is_changed
 
 
-_HEAD = 20
-"""Bytes before the description: the headers of the file and of its first chunk."""
+_HEAD = 20  # bytes before the description: the headers of the file and of its first chunk
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 

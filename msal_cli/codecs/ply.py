@@ -88,11 +88,8 @@ def _squares(vertices: Floats, starts: Ints, stops: Ints) -> Floats:
     return squares
 
 
-CORNERS = ("vertex_indices", "vertex_index")
-"""Names of a list of corners."""
-
-MAX_VERTICES = 2**31 - 1
-"""Vertices that 32-bit indices can distinguish."""
+CORNERS = ("vertex_indices", "vertex_index")  # names of a list of corners
+MAX_VERTICES = 2**31 - 1  # vertices that 32-bit indices can distinguish
 
 
 class Surface(NamedTuple):

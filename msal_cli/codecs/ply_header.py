@@ -14,11 +14,8 @@ from msal_cli.light_dataclass import dataclass, field
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 
-MAX_BYTES = 65_536
-"""Longest header that is read; its end is not searched for beyond this."""
-
-MAX_LINES = 1_000
-"""Most lines of a header; real ones have a few dozen."""
+MAX_BYTES = 65_536  # longest header that is read; its end is not searched for beyond this
+MAX_LINES = 1_000  # most lines of a header; real ones have a few dozen
 
 _SPELLINGS = {
     "i1": ("char", "int8"),

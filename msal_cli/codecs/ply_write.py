@@ -16,8 +16,7 @@ from msal_cli.codecs.ply_header import NORMAL, POSITION, TYPES, Header, Property
 from msal_cli.codecs.slots import as_float32, to_type
 from msal_cli.errors import ContentError
 
-_CHUNK = 65_536
-"""Records converted to text at a time."""
+_CHUNK = 65_536  # records converted to text at a time
 
 
 class Numbers(NamedTuple):

@@ -99,9 +99,7 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> No
 
 _RECORDS = 1 << 14  # records processed at a time, so that they stay in the cache
 _PARTS = 8  # parts of an array that are worth a thread
-
-_CHUNK = 1 << 20
-"""Bytes compared at a time, so that no temporary is as large as the file."""
+_CHUNK = 1 << 20  # bytes compared at a time, so that no temporary is as large as the file
 
 
 class RecordSlots(Slots):

@@ -30,14 +30,9 @@ from msal_cli.errors import (
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
-SHORTEST = 18
-"""Instead of a number of decimals: the shortest text that is read as the same double."""
-
-NORMAL_DECIMALS = 6
-"""Least decimals of a recomputed unit normal."""
-
-SIGNIFICANT_DIGITS = 15
-"""Decimal digits that float64 can always keep."""
+SHORTEST = 18  # instead of a number of decimals: the shortest text that is read as the same double
+NORMAL_DECIMALS = 6  # least decimals of a recomputed unit normal
+SIGNIFICANT_DIGITS = 15  # decimal digits that float64 can always keep
 
 _FAR_FINER = 1e-7
 """Part of the bounding box's diagonal: the coarsest step with which positions are written."""
@@ -168,8 +163,7 @@ MAX_TURNS = 4096
 """If the order of a file alternates more often between positions and normals, all new numbers have
 the same decimals."""
 
-_ROWS = 1 << 16
-"""Runs of an array that are replaced or compared at a time."""
+_ROWS = 1 << 16  # runs of an array that are replaced or compared at a time
 
 
 @dataclass(eq=False)
@@ -434,8 +428,7 @@ def replace_spans(text: AnyStr, edits: Iterable[tuple[Span, AnyStr]]) -> AnyStr:
 _Slots = TypeVar("_Slots", bound=TextSlots)
 
 
-_BLOCK = 1 << 20
-"""Bytes that are searched at a time, so that they stay in the cache."""
+_BLOCK = 1 << 20  # bytes that are searched at a time, so that they stay in the cache
 
 
 def has_comments(data: Buffer) -> bool:

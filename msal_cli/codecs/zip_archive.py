@@ -31,8 +31,7 @@ _REPACK = "pack it again as a plain zip archive"
 _Places = dict[str, tuple[int, str]]
 """The first byte of each number in a header, and its type for ``struct``."""
 
-Numbers = dict[str, int]
-"""The ``crc``, ``packed`` and ``size`` of a member."""
+Numbers = dict[str, int]  # the ``crc``, ``packed`` and ``size`` of a member
 
 
 class Archive:

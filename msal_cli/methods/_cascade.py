@@ -53,11 +53,8 @@ MIN_WHITE, MAX_WHITE = 0.65, 2.0
 noise of the given level.  Correlated noise has less, and noise stronger than its given level more;
 neither can be distinguished from shape."""
 
-UNEVEN = 0.8
-"""Share of the power of the finest ripples around a vertex that counts as noise."""
-
-CAUTION = 1.0
-"""See ``restoration``."""
+UNEVEN = 0.8  # share of the power of the finest ripples around a vertex that counts as noise
+CAUTION = 1.0  # see ``restoration``
 
 DOUBT = 0.01
 """Power over that of the noise of which half is restored; noise alone leaves hardly any."""
@@ -206,8 +203,7 @@ MIN_LEVEL = 1e-3  # smallest level of noise, mean edge lengths, that powers are 
 WHITE_POWERS = (1.17, 1.85, 3.2)
 """Mean squares of ``measure_ripples`` for white noise of level 1 on the lattice of valence 6."""
 
-AROUND, NEAR = 6, 2
-"""Averages over one-rings of powers, and of shares."""
+AROUND, NEAR = 6, 2  # averages over one-rings of powers, and of shares
 
 
 def gather_evidence(

@@ -26,8 +26,7 @@ from msal_cli.errors import UsageError
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.mesh import Mesh
 
-OnSweep = Callable[[int, int], None]
-"""Called as ``on_sweep(done, iterations)`` after each sweep."""
+OnSweep = Callable[[int, int], None]  # called as ``on_sweep(done, iterations)`` after each sweep
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,17 +45,14 @@ from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer
 from msal_cli.methods._sliding import even_out, move_to_lines
 
-BYTES_PER_FACE = 760
-"""Memory with ``learned``, the member that needs most; see ``Method``."""
+BYTES_PER_FACE = 760  # memory with ``learned``, the member that needs most; see ``Method``
 
 KEPT_PER_FACE = 30
 """Memory per triangle beyond that of the largest member: the sum so far, and fragmentation."""
 
 MAX_MEMBERS = 16  # largest number of members
 STEPS = 100  # steps of progress that are reported for each member
-
-ROUNDING = 1e-9
-"""Rounding error by which the sum of the weights may exceed 1."""
+ROUNDING = 1e-9  # rounding error by which the sum of the weights may exceed 1
 
 _MEMBER = re.compile(
     r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"

@@ -47,8 +47,7 @@ from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._normal_filters import run_rounds
 
-MAX_NEAR = 64
-"""Largest number of faces near one; ten are usual."""
+MAX_NEAR = 64  # largest number of faces near one; ten are usual
 
 BYTES_PER_FACE = 385
 

@@ -48,11 +48,8 @@ from msal_cli.methods._normal_filters import run_rounds
 
 OnStep = Callable[[], object]
 
-MAX_NEAR = 256
-"""Largest number of faces near one; fifty are usual."""
-
-MAX_STEPS = 100
-"""Largest number of steps towards the minimum of the energy."""
+MAX_NEAR = 256  # largest number of faces near one; fifty are usual
+MAX_STEPS = 100  # largest number of steps towards the minimum of the energy
 
 BYTES_PER_FACE = 1450
 

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 TEXT, FAINT = (28, 30, 34), (96, 100, 108)  # colours of titles and of the lines below
-
-Panel = tuple[Image, str, Sequence[str]]
-"""An image (h, w, 3), its title, and the lines below it."""
+Panel = tuple[Image, str, Sequence[str]]  # an image (h, w, 3), its title, and the lines below it
 
 
 @dataclass(frozen=True, eq=False)

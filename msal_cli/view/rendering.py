@@ -14,9 +14,7 @@ from msal_cli.light_dataclass import dataclass
 
 # The camera
 
-MARGIN = 0.04
-"""Share of the picture's width and height that is left free on each side."""
-
+MARGIN = 0.04  # share of the picture's width and height that is left free on each side
 _MAX_GUESS_FACES = 60_000  # faces that are examined to guess up and front
 
 

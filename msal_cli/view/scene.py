@@ -26,8 +26,7 @@ from msal_cli.kernels.welding import repeated_corners
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 
-MAX_FACES = 200_000
-"""Faces of one mesh on a page; larger meshes are decimated."""
+MAX_FACES = 200_000  # faces of one mesh on a page; larger meshes are decimated
 
 STEPS_PER_EDGE = 256
 """Grid steps per mean edge length: rounding to the grid turns a normal by about 0.1 degrees."""

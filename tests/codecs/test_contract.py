@@ -22,11 +22,9 @@ from tests.fuzz.seeds import seeds
 
 FORMATS = tuple(one for one in corpus_sums.formats() if seeds(one) and one != "gz")
 TEXTS = ("obj", "off")
-LARGEST = 4000
-"""Bytes of the files that are tried."""
+LARGEST = 4000  # bytes of the files that are tried
 
-AT_MOST = 5
-"""Files of a format of which there are many that differ little."""
+AT_MOST = 5  # files of a format of which there are many that differ little
 
 
 def is_read(format: str, data: bytes) -> bool:
