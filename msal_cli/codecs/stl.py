@@ -29,9 +29,6 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u
 
 MAX_FACETS = (2**31 - 1) // 3  # facets whose corners can be numbered with 32 bits
 
-MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
-"""Least bytes of text for a facet."""
-
 _BEGIN = b"binary STL "
 _USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
@@ -380,9 +377,8 @@ class StlTextFile(_FacetFile):
         status = stl_facets.FULL
         while status == stl_facets.FULL:
             status, at, word = stl_facets.scan(buf, state, run_at, numbers, solid_at, decimals)
-            room = n_facets = int(state[stl_facets.FACETS])
-            if status == stl_facets.FULL:
-                room = min(len(buf) // MIN_FACET_BYTES + 1, n_facets + n_facets // 2 + 16)
+            n_facets = int(state[stl_facets.FACETS])
+            room = n_facets + (n_facets // 2 + 16) * (status == stl_facets.FULL)
             for array in (run_at, numbers):
                 array.resize((room, *array.shape[1:]), refcheck=False)
         if status != stl_facets.WHOLE:
