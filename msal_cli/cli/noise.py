@@ -88,11 +88,14 @@ def command(request: Request) -> int:
     """
     import os
 
+    from msal_cli.analysis.added_noise import build_noise
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.report.facts import file_name
 
     format = resolve_format(request.format)
-    noise = _build_noise(request)
+    names = ("fraction", "rings", "direction", "step", "border")
+    given = {name: value for name in names if (value := getattr(request, name)) is not None}
+    noise = build_noise(request.kind, request.level, request.seed, given, "--")
     tasks = _find_tasks(request)
     for path in (task.output for task in tasks):
         if path == STREAM:
@@ -173,12 +176,3 @@ def _make_noisy_file(
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None
     return description, warnings
-
-
-def _build_noise(request: Request) -> AddedNoise:
-    """The noise of the options; UsageError for one that its kind does not use."""
-    from msal_cli.analysis.added_noise import build_noise
-
-    names = ("fraction", "rings", "direction", "step", "border")
-    given = {name: value for name in names if (value := getattr(request, name)) is not None}
-    return build_noise(request.kind, request.level, request.seed, given, "--")

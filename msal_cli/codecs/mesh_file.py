@@ -103,8 +103,6 @@ _MAX_CONDITION = 1e6
 _MAX_ENTRY = 1e30
 """Larger entries of a frame could make float32 positions too large for computations."""
 
-_IDENTITY = np.eye(4)
-
 PLACEMENT = "placement in the scene"
 """The property of a scene whose only mesh is denoised in its own frame, while the scene rotates,
 scales or shifts it."""
@@ -122,7 +120,7 @@ def is_usable(frame: Floats) -> bool:
 
 def is_placed(frame: Floats) -> bool:
     """Whether a frame is not the identity."""
-    return not np.array_equal(frame, _IDENTITY)
+    return not np.array_equal(frame, np.eye(4))
 
 
 def keep_winding(faces: Ints | Longs, frame: Floats) -> Ints | Longs:

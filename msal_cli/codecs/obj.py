@@ -49,9 +49,6 @@ from msal_cli.kernels.text import as_bytes
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.regular import Buffer
 
-_NO_LIMIT = 99  # no limit on the digits of a normal
-
-
 Keywords = Mapping[bytes, tuple[int, int]]
 """Keywords other than v, vt, vn and f: how often each occurs, and its first place.  For the walk's
 ``state``, see ``kernels.obj_scan``."""
@@ -265,7 +262,7 @@ class _Reader:
             stored = normals.values
             entries = cut_polygons(corner_normals, sizes)
             slots = normals.slots(Statements, buf, 2)
-            slots.unit_length, slots.significant = True, _NO_LIMIT
+            slots.unit_length, slots.significant = True, math.inf
             layout.normals = (slots,)
             layout.renew_normals = lambda old, new: [
                 regroup_normals(old, new, faces, entries, stored)

@@ -7,6 +7,7 @@ without copying), ``Varied`` (binary records whose sizes differ because of their
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
@@ -22,9 +23,6 @@ from msal_cli.kernels.parallel import at_once, is_worth_it, threads
 from msal_cli.light_dataclass import dataclass, field
 
 _SAMPLE = 4_096  # bytes after an ascii header that are searched for binary data if a line is wrong
-
-ALL_DIGITS = 1_000
-"""Significant digits that no file exceeds, so that numbers are written in fixed point."""
 
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are needed, where storing places costs memory."""
@@ -140,7 +138,7 @@ class Lines(Part):
             slots = TextSlots(self.data, starts, values=values)
         slots.codes = tuple(prop.code for prop in self.element.find_all(names))
         slots.unit_length = slots.whole_rows = names == NORMAL
-        slots.significant = ALL_DIGITS
+        slots.significant = math.inf  # written in fixed point
         return slots
 
     def items(self, name: str) -> tuple[NDArray[Any], Longs | Ints]:

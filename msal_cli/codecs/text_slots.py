@@ -70,7 +70,7 @@ class TextSlots(Slots):
     skipped: int = 0  # bytes of the keyword
     unit_length: bool = False  # the numbers are normals
     # most digits of a number; if the file needs more, the shortest text is written
-    significant: int = SIGNIFICANT_DIGITS
+    significant: float = SIGNIFICANT_DIGITS
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 

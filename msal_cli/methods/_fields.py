@@ -65,7 +65,6 @@ def mollify(
 def share(
     default: float, help: str, more: str, *, symbol: str = "", above: float | None = None
 ) -> Any:
-    """A number from 0 to 1."""
     ends: dict[str, Any] = {"low": 0.0, "above": above, "high": 1.0}
     return parameter(default, help, symbol=symbol, more=more, **ends)
 
@@ -115,7 +114,6 @@ def rim() -> Any:
 
 
 def quantile() -> Any:
-    """The parameter of the robust schedule."""
     return share(
         0.99,
         "robust schedule: quantile of sigma, from 0 to 1, that replaces max sigma",
@@ -126,7 +124,6 @@ def quantile() -> Any:
 
 
 def noise(of: str = "wiener schedule: ") -> Any:
-    """A parameter of the Wiener schedule."""
     return parameter(
         0.0,
         of + "standard deviation of the noise; 0 estimates it",
@@ -138,7 +135,6 @@ def noise(of: str = "wiener schedule: ") -> Any:
 
 
 def caution(default: float = 1.0, of: str = "wiener schedule: ") -> Any:
-    """A parameter of the Wiener schedule."""
     return parameter(
         default,
         of + "factor of the assumed power of the noise",

@@ -83,18 +83,15 @@ class ScheduleTraits(NormalParameters):
 
     @property
     def schedule_bytes_per_face(self) -> int:
-        """See ``Method.bytes_per_face_of``."""
         return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
 
     @property
     def most_noise_edges(self) -> float:
-        """See ``Method.most_noise_edges``."""
         is_multiscale = self.schedule in ("multiscale", "robust")
         return MAX_NOISE_MULTISCALE if is_multiscale else math.inf
 
     @property
     def uses_largest_sigma(self) -> bool:
-        """See ``Method.uses_largest_sigma``."""
         return self.schedule == "multiscale"
 
 

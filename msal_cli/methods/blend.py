@@ -106,7 +106,6 @@ def parse_levels(text: str) -> tuple[float, ...]:
 
 
 def format_line(line: Sequence[float]) -> str:
-    """The text of ``line``."""
     return _format_numbers([round(number, 6) for number in line])
 
 
