@@ -28,8 +28,6 @@ from msal_cli.version import __version__
 _CONNECT_S = 10.0
 _PATIENCE_S = 60.0
 _BETWEEN_CHECKS_S = 0.2
-_CLOSED_WITHIN_S = 1.5
-_GOES_ON = "finished files are kept; the same command goes on from there"
 _DEATHS = Failure(
     "E_CRASH",
     "Dask workers died while at work on it",
@@ -70,7 +68,7 @@ class DaskEngine:
             if client is not None:
                 with contextlib.suppress(Exception):
                     # The scheduler drops the tasks of a client that has disconnected.
-                    client.close(timeout=_CLOSED_WITHIN_S)
+                    client.close(timeout=1.5)
             for probe in self._probes:
                 Path(probe).unlink(missing_ok=True)
             # A process killed with its Dask worker on this machine leaves its temporary files.
@@ -167,7 +165,8 @@ def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
         return None
     if isinstance(error, UsageError):
         raise error
-    raise ResourceError(f"Dask cannot go on: {type(error).__name__}: {error}", hint=_GOES_ON)
+    hint = "finished files are kept; the same command goes on from there"
+    raise ResourceError(f"Dask cannot go on: {type(error).__name__}: {error}", hint=hint)
 
 
 def denoise_in_child(version: str, payload: bytes) -> bytes:

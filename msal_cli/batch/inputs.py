@@ -22,7 +22,6 @@ from msal_cli.storage.atomic import is_manifest, is_own
 from msal_cli.storage.urls import ObjectMark, is_url
 
 _LINKS_NAMED = 3
-_MAGIC = re.compile(r"[*?[]")
 
 _log = logging.getLogger("msal.batch")
 
@@ -398,7 +397,7 @@ def resolve(path: Path) -> Path:
 
 
 def has_magic(text: str) -> bool:
-    return _MAGIC.search(text) is not None
+    return re.search(r"[*?[]", text) is not None
 
 
 def parse_patterns(patterns: Iterable[str]) -> list[list[str]]:

@@ -59,7 +59,6 @@ _PART = re.compile(r"\d{8}T\d{6}\.\d{6}Z-[0-9a-f]{8}-\d{5,}\.jsonl")
 FORMAT = 1
 _IS_UTF8 = sys.getfilesystemencoding() == "utf-8"
 RUN_KINDS = ("run", "end")
-_ENTRY_KINDS = ("intent", "done")
 
 # Lines that no longer count are dropped when a run starts, once they are more than this many and
 # more than the lines that count.
@@ -248,7 +247,7 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
         usual = _USUAL_DONE.fullmatch(line)
         data = json.loads(b'%b,"at":%b}' % usual.groups() if usual else line)
         kind = data["kind"]
-        if kind not in _ENTRY_KINDS or data.get("format", FORMAT) != FORMAT:
+        if kind not in ("intent", "done") or data.get("format", FORMAT) != FORMAT:
             return kind if kind in RUN_KINDS else None
         output = data.get("output") or {}
         at = data.get("at", 0)

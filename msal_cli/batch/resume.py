@@ -38,7 +38,6 @@ _FAULTS_OF_FILES |= {"E_RANGE", "E_LOSS"}
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
 _MAX_THREADS = 8
 _TASKS_PER_CALL = 32
-_BLOCK_BYTES = 1 << 20
 
 _log = logging.getLogger("msal.batch")
 
@@ -61,7 +60,7 @@ def hash_file(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
     try:
         with open_regular(path, buffering=0) as file:
             # Allocating a full block for each of many small files would cost more than hashing.
-            block = bytearray(min(_BLOCK_BYTES, os.fstat(file.fileno()).st_size + 1))
+            block = bytearray(min(1 << 20, os.fstat(file.fileno()).st_size + 1))
             view = memoryview(block)
             while length := file.readinto(view):  # type: ignore[attr-defined]
                 if is_stopped():

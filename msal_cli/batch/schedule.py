@@ -16,12 +16,6 @@ from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, m
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import available_bytes
 
-_MEMORY_SHARE = 0.8
-
-# Bytes of memory per byte of a small file, which is not looked into; most formats stay below this.
-_PER_BYTE = 14.0
-_BYTES_PER_FACE = 24.0
-
 
 @dataclass(frozen=True, slots=True)
 class Started:
@@ -97,15 +91,12 @@ class Engine(Protocol):
         UsageError : the engine cannot be used like this; no file was started.
         ResourceError : it cannot go on; results given before are complete.
         """
-        ...
 
     def stop(self) -> None:
         """Start no more tasks; second tries of started ones still run."""
-        ...
 
     def interrupt(self) -> None:
         """Give up the current tasks and end; may be called from a signal handler."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -228,7 +219,9 @@ def estimate_memory(
 
     large: dict[int, int] = {}
     largest_light = 0
-    per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
+    # Small files are not looked into.  Most formats need less than 14 bytes per byte, and have more
+    # than 24 bytes per face.
+    per_byte = 14.0 + method_bytes_per_face(settings) / 24.0
     for index, task in tasks.items():
         if (size := room.input_bytes(task)) is None:
             # The file cannot be read, which its reader will report.
@@ -239,4 +232,4 @@ def estimate_memory(
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
     light = limited(BASE_BYTES + int(per_byte * largest_light))
     available = available_bytes()
-    return large, light, None if available is None else int(_MEMORY_SHARE * available)
+    return large, light, None if available is None else int(0.8 * available)

@@ -51,8 +51,6 @@ _BOOT = (
     "from msal_cli.batch.workers import serve; serve()"
 )
 _THREAD_VARIABLES = ("MSAL_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_LAST_LINES = 40
-
 _MAX_FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0
 
@@ -68,7 +66,6 @@ _OUT_OF_MEMORY = re.compile(
     re.IGNORECASE,
 )
 
-_FEWER_JOBS = "run fewer jobs at once, or on a machine with more memory"
 _STUCK = "the worker did not exit after SIGKILL; check for a hung disk or network mount"
 
 _log = logging.getLogger("msal.batch")
@@ -79,10 +76,6 @@ _GROWTH_BYTES = 512 << 20
 
 # More messages would waste the time of both processes; a file that is done sooner shows no stages.
 _BETWEEN_PROGRESS_S = 0.05
-
-_BETWEEN_LOOKS_S = 0.05
-
-_STACK_BYTES = 8 << 20
 
 
 class WorkerPool:
@@ -319,7 +312,8 @@ class WorkerPool:
     def _out_of_memory(self, reason: str) -> Failure:
         limit = self._limits.memory_bytes
         if limit is None:
-            return Failure("E_MEMORY", reason, _FEWER_JOBS)
+            hint = "run fewer jobs at once, or on a machine with more memory"
+            return Failure("E_MEMORY", reason, hint)
         reason = f"{reason}, with a limit of {limit / 1e6:,.0f} MB"
         return Failure("E_MEMORY", reason, "raise --memory-limit if the machine has more")
 
@@ -411,7 +405,6 @@ class WorkerPool:
             self._remove(worker)
 
     def _remove(self, worker: WorkerProcess) -> None:
-        """Release a worker that has ended."""
         self._workers.remove(worker)
         worker.close()
         if worker.current_task is not None:
@@ -452,9 +445,7 @@ class WorkerProcess:
     n_done: int = 0
     first_bytes: int = 0
     resident_bytes: int = 0
-    last_lines: collections.deque[str] = field(
-        default_factory=lambda: collections.deque(maxlen=_LAST_LINES)
-    )
+    last_lines: collections.deque[str] = field(default_factory=lambda: collections.deque(maxlen=40))
 
     def send(self, message: object) -> bool:
         """Send a message; False if the worker has died, which its reader will report."""
@@ -465,7 +456,6 @@ class WorkerProcess:
         return True
 
     def dismiss(self) -> None:
-        """Kill the worker at once, whatever it does."""
         self.is_dismissed = True
         self.process.kill()
 
@@ -615,8 +605,8 @@ def limited_memory(limit: int | None) -> Iterator[None]:
     # The peak so far may include pages of files.
     forget_peak()
     own = memory_bytes("VmData") - memory_bytes("VmRSS")
-    # Kernels will start threads, and a limit may leave less than their stacks.
-    own += (usable_cores() + 1) * _STACK_BYTES
+    # Kernels will start threads, and a limit may leave less than their stacks of 8 MB.
+    own += (usable_cores() + 1) * (8 << 20)
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     wanted = max(0, limit + own)
     if hard != resource.RLIM_INFINITY:
@@ -631,7 +621,7 @@ def limited_memory(limit: int | None) -> Iterator[None]:
 def _watch_memory(limit: int, respond: Callable[..., None]) -> None:
     """End this process once it uses more than ``limit`` bytes, where the system refuses nothing."""
     while True:
-        time.sleep(_BETWEEN_LOOKS_S)
+        time.sleep(0.05)
         used = memory_bytes("VmRSS") or peak_bytes() or 0
         if used > limit:
             respond("exhausted")

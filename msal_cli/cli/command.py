@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 _MAX_NAME_WIDTH = 26
 # Paragraphs of the docstring that the short help shows.
 _PARAGRAPHS = 2
-# Longer defaults are shown only by --help-all.
-_MAX_DEFAULT_LENGTH = 20
+_MAX_DEFAULT_LENGTH = 20  # longer defaults are shown only by --help-all
 
 
 _CONFIGURATION = group(

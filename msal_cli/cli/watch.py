@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 _UNFINISHED_ENDS = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", "~")
 _LISTED_EVERY_S = 2.0
 
-# Listing takes at most this part of the time, however many files there are.
-_SHARE_OF_LISTING = 0.1
+_SHARE_OF_LISTING = 0.1  # listing takes at most this part of the time, however many files there are
 
 _log = logging.getLogger("msal.batch")
 

@@ -271,8 +271,7 @@ _UNKNOWN = _Cost(32.0)
 _PER_BYTE_OF_ANY = 9.2
 """Bytes per byte of a file whose format has counts, but which has none that are valid."""
 
-# Bytes per triangle for writing another format, and reading it back.
-_CONVERTED = 450
+_CONVERTED = 450  # bytes per triangle for writing another format, and reading it back
 
 
 @dataclass(frozen=True, slots=True)
