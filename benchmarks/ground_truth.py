@@ -60,7 +60,7 @@ def data_folder() -> Path | None:
 
 def opened(path: Path) -> Mesh:
     """A mesh file, ready for computing."""
-    data, _ = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
+    data = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
     mesh_file = codecs.open_mesh(data, path.name)
     return prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
 

@@ -202,7 +202,7 @@ for path in goods:
 for path in bads:
     before, began, code = resident(), time.process_time(), "ok"
     try:
-        codecs.open_mesh(expand(read_input(path), path)[0], path)
+        codecs.open_mesh(expand(read_input(path), path), path)
     except MsalError as error:
         code = error.code
     print(code, time.process_time() - began, resident() - before)

@@ -28,7 +28,7 @@ REPEATS = 5
 
 def opened(path: Path) -> PreparedMesh:
     """A mesh file of the data folder."""
-    data, _ = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
+    data = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
     mesh_file = codecs.open_mesh(data, path.name)
     return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 

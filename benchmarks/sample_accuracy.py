@@ -33,7 +33,7 @@ SETTINGS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 def opened(path: Path) -> PreparedMesh:
     """A sample, ready for computing."""
-    data, _ = gzip_streams.expand(path.read_bytes(), path.name)
+    data = gzip_streams.expand(path.read_bytes(), path.name)
     mesh_file = codecs.open_mesh(data, path.name)
     return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 

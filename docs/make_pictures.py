@@ -44,7 +44,7 @@ VIEWS = {  # turn and tilt in degrees
 
 def opened(path: Path) -> tuple[Array, Array]:
     """Vertices (n, 3) and triangles (m, 3) of a sample."""
-    data, _ = gzip_streams.expand(path.read_bytes(), path.name)
+    data = gzip_streams.expand(path.read_bytes(), path.name)
     mesh_file = codecs.open_mesh(data, path.name)
     return mesh_file.vertices, mesh_file.faces
 

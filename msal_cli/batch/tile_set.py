@@ -143,7 +143,7 @@ class SetRun:
         task = self.tasks[index]
         run = FileRun(task.input, self.settings, self._progress_of(index))
         try:
-            mesh_file, _ = run.open(run.read(task))
+            mesh_file = run.open(run.read(task))
             with run.stage("connectivity"):
                 border = shared_borders.find_border(
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
@@ -298,7 +298,7 @@ class SetRun:
         run = FileRun(task.input, self.settings, self._progress_of(member.index))
         try:
             data = run.read(task)
-            mesh_file, is_compressed = run.open(data)
+            mesh_file = run.open(data)
             if run.record.input_sha256 != member.record.input_sha256:
                 raise InputError(
                     "the file changed while its tile set was denoised",
@@ -314,8 +314,7 @@ class SetRun:
                 run.know(seam_gap=ready.seam_gap(vertices), **known)
                 ready.mesh.release_normals()
             run.field_values = field_values
-            source = output.Source(data, task.input, is_compressed)
-            made = run.build(mesh_file, vertices, task.output, source)
+            made = run.build(mesh_file, vertices, task.output, data)
             record = run.write(task, data, made)
             return record, *_read_points(member.border, mesh_file, made, task.output)
         except Exception as error:
@@ -382,7 +381,7 @@ def _read_points(
     unknown = np.full_like(border.positions, np.nan)
     format = None if is_mesh_name(output_path) else mesh_file.format
     try:
-        stored, _ = open_mesh(made.data, output_path, format)
+        stored = open_mesh(made.data, output_path, format)
     except MsalError:
         return unknown, False
     has_same_vertices = (

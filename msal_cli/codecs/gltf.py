@@ -535,7 +535,7 @@ def write_companions(
     earlier: set[str] = set()
     if os.path.isfile(output_path):
         with contextlib.suppress(errors.MsalError):
-            earlier = names_of_buffers(expand(read_whole(output_path), output_path)[0])
+            earlier = names_of_buffers(expand(read_whole(output_path), output_path))
     return tuple(_write_companion(companion, folder, earlier, sources) for companion in companions)
 
 

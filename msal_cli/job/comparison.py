@@ -32,6 +32,7 @@ from msal_cli.job.room import check_unit, open_mesh, prepare_mesh, room_for_file
 from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, PreparedMesh
+from msal_cli.storage.gzip_streams import is_gzip
 from msal_cli.storage.regular import Buffer
 from msal_cli.version import __version__
 
@@ -43,7 +44,7 @@ def open_mesh_file(path: str, format: str | None = None, unit: str | None = None
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read or states
     another ``unit``."""
     try:
-        mesh_file, _ = open_mesh(header.read_input(path, format), path, format)
+        mesh_file = open_mesh(header.read_input(path, format), path, format)
         check_unit(mesh_file.unit, unit)
         return mesh_file
     except MsalError as error:
@@ -79,7 +80,7 @@ def inspect_file(
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    mesh_file, is_compressed = open_mesh(data, name, format)
+    mesh_file = open_mesh(data, name, format)
     ready = prepare_mesh(mesh_file)
     defects = ready.defects
     area, volume = measures.area_and_volume(ready.mesh)
@@ -95,7 +96,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
     return InfoRecord(
         input=name,
         **changes.file_fields(mesh_file),
-        compressed=is_compressed,
+        compressed=is_gzip(data),
         bytes=len(data),
         polygon_sizes=sizes,
         closed=defects.boundary_edges == 0,

@@ -26,15 +26,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
-    """An input file: its bytes as read, its name, and whether gzip compressed them."""
-
-    data: Buffer
-    name: str
-    is_compressed: bool
-
-
-@dataclass(frozen=True, eq=False)
 class Output:
     """An output file that is yet to be written."""
 
@@ -48,16 +39,17 @@ class Output:
 
 
 def build_output(
-    mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, source: Source
+    mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, data: Buffer
 ) -> Output:
     """Build the output for positions (n, 3) of a file's vertices; check it by reading it back.
 
-    ``path`` is where it is to be written; None for a pipe.
+    ``path`` is where it is to be written, None for a pipe; ``data`` are the bytes of the input.
 
     Raises LossError if ``settings`` are strict and a conversion would lose something, and
     InternalError if the output does not contain what it should.
     """
-    compress = source.is_compressed if path is None else gzip_streams.is_gzip_name(path)
+    is_compressed = gzip_streams.is_gzip(data)
+    compress = is_compressed if path is None else gzip_streams.is_gzip_name(path)
     target, *how = _format_of_output(mesh_file, settings, path)
     lost: tuple[str, ...] = ()
     stale: list[str] = []
@@ -78,10 +70,10 @@ def build_output(
     elif not np.array_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
-    elif compress == source.is_compressed:
-        output, compress = source.data, False
+    elif compress == is_compressed:
+        output, compress = data, False
     else:
-        output = gzip_streams.expand(source.data, source.name)[0]
+        output = gzip_streams.expand(data)
     if target == mesh_file.format:
         output, companions = mesh_file.beside(output, vertices, path)
     elif {target, mesh_file.format} != detection.SCENES:
@@ -194,7 +186,7 @@ def add_noise_to_file(
 
     ``target`` is the output's name, which must be of the same format; ``-`` has none.
     """
-    mesh_file, is_compressed = open_mesh(data, name, format)
+    mesh_file = open_mesh(data, name, format)
     wanted = detection.format_of_name(target)
     if wanted and wanted != mesh_file.format:
         raise UnsupportedError(
@@ -202,12 +194,12 @@ def add_noise_to_file(
             hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
         )
     vertices, edge = move_by_noise(mesh_file, noise)
-    path, source = None if target == "-" else target, Source(data, name, is_compressed)
+    path = None if target == "-" else target
     settings, original = Settings("noise"), mesh_file.vertices
     vertices = as_stored(mesh_file, settings, path, vertices)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     try:
-        made = build_output(mesh_file, vertices, settings, path, source)
+        made = build_output(mesh_file, vertices, settings, path, data)
     except MsalError as error:
         if error.code == "E_RANGE":
             error.hint = "choose a lower --level: this file's numbers are near their limit"

@@ -156,21 +156,20 @@ class FileRun:
 
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
-        mesh_file, is_compressed = self.open(data)
-        source = output.Source(data, self.record.input, is_compressed)
+        mesh_file = self.open(data)
         store = functools.partial(output.as_stored, mesh_file, self._settings, output_path)
         vertices = self.move_vertices(mesh_file, store=store)
-        return self.build(mesh_file, vertices, output_path, source)
+        return self.build(mesh_file, vertices, output_path, data)
 
-    def open(self, data: Buffer) -> tuple[MeshFile, bool]:
-        """The mesh file in ``data``, and whether gzip compressed it."""
+    def open(self, data: Buffer) -> MeshFile:
+        """The mesh file in ``data``, which gzip may have compressed."""
         from msal_cli.codecs.mesh_file import PLACEMENT
 
         with self.stage("read"):
             digest = gzip_streams.sha256_meanwhile(data)
             try:
                 name, format = self.record.input, self._settings.format
-                mesh_file, is_compressed = room.open_mesh(data, name, format)
+                mesh_file = room.open_mesh(data, name, format)
             finally:
                 # A file that cannot be read has its hash in the record, too.
                 self.know(input_sha256=digest())
@@ -180,14 +179,14 @@ class FileRun:
             room.check_unit(mesh_file.unit, given)
             if given and PLACEMENT in mesh_file.properties:
                 self.warn("--unit applies to the numbers in the file, which the scene may scale")
-        return mesh_file, is_compressed
+        return mesh_file
 
     def build(
-        self, mesh_file: MeshFile, vertices: Floats, output_path: str | None, source: output.Source
+        self, mesh_file: MeshFile, vertices: Floats, output_path: str | None, data: Buffer
     ) -> output.Output:
-        """Build the output file with new positions (n, 3)."""
+        """Build the output file with new positions (n, 3); ``data`` are the bytes of the input."""
         with self.stage("write"):
-            made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
+            made = output.build_output(mesh_file, vertices, self._settings, output_path, data)
             valid = [text for text in self.record.warnings if text not in made.stale]
             self.know(warnings=(*valid, *made.losses))
             if self.field_values and output_path is not None:
@@ -196,7 +195,7 @@ class FileRun:
                 self._fields_file = fields.build_file(
                     mesh_file, vertices, self.field_values, fields.path_beside(output_path)
                 )
-            self._is_changed = made.data is not source.data
+            self._is_changed = made.data is not data
             self._output_digest = gzip_streams.sha256_meanwhile(made.data)
         return made
 

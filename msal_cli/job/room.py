@@ -210,11 +210,10 @@ def _is_in_memory(folder: str) -> bool:
 # Opening a file
 
 
-def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
-    """The mesh file in ``data``, and whether gzip compressed it."""
+def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
+    """The mesh file in ``data``, which gzip may have compressed."""
     refuse_no_mesh(data)  # whatever the name says
-    plain, is_compressed = gzip_streams.expand(data, name)
-    return codecs.open_mesh(plain, name, format), is_compressed
+    return codecs.open_mesh(gzip_streams.expand(data, name), name, format)
 
 
 def check_unit(own: str | None, given: str | None) -> None:
@@ -322,4 +321,4 @@ def _check_header(path: str, format: str | None) -> int | None:
         size = 0  # reading it reports the error
     if size > LOOKED_AT:
         return None
-    return len(open_mesh(header.read_input(path, format), path, format)[0].vertices)
+    return len(open_mesh(header.read_input(path, format), path, format).vertices)

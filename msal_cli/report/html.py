@@ -387,7 +387,7 @@ def _surface(path: str, sha256: str | None, format: str | None) -> Surface | Non
     data = header.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    return pictures.coloured_surface_of(open_mesh(data, path, format)[0], path)
+    return pictures.coloured_surface_of(open_mesh(data, path, format), path)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:

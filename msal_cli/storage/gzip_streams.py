@@ -103,20 +103,25 @@ def is_gzip_name(name: str) -> bool:
     return name.lower().endswith(GZIP_SUFFIX)
 
 
-def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
-    """The content of a file that may be compressed with gzip, and whether it was.
+def is_gzip(data: regular.Buffer) -> bool:
+    """Whether a file is compressed: its bytes begin like gzip's."""
+    return bytes(memoryview(data).cast("B")[:2]) == GZIP_MAGIC
 
-    A file is compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; the members
-    of a file with several are joined.  Other files are returned as they are.
 
-    Raises FormatError if a ``.gz`` file is not gzip, or is damaged; TruncatedError if it ends
-    early; TooLargeError if it would expand to more than half of the machine's memory, or than the
-    greater of ``ALWAYS_EXPANDED`` and ``MAX_RATIO`` times the compressed bytes read so far.
+def expand(data: regular.Buffer, name: str = "") -> regular.Buffer:
+    """The content of a file that may be compressed with gzip.
+
+    The members of a file with several are joined; what is not gzip is returned as it is.
+
+    Raises FormatError if the ``name`` ends in ``.gz`` and the content is not gzip, or is damaged;
+    TruncatedError if it ends early; TooLargeError if it would expand to more than half of the
+    machine's memory, or than the greater of ``ALWAYS_EXPANDED`` and ``MAX_RATIO`` times the
+    compressed bytes read so far.
     """
     view = memoryview(data).cast("B")
-    if bytes(view[:2]) != GZIP_MAGIC:
+    if not is_gzip(data):
         if not is_gzip_name(name):
-            return data, False
+            return data
         if not view:
             raise cut_short("the file is empty")
         raise FormatError(
@@ -126,7 +131,7 @@ def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
         )
     pieces = _expand_pieces(view)
     # Libraries would copy what is not ``bytes``.
-    return (_gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)), True
+    return _gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)
 
 
 def _gather(pieces: Iterable[bytes]) -> memoryview:

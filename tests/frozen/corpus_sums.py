@@ -28,7 +28,7 @@ from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
-from msal_cli.storage.gzip_streams import expand
+from msal_cli.storage.gzip_streams import expand, is_gzip
 from tests.codecs.patching import polygons_of
 from tests.frozen import kept
 from tests.frozen.kept import ROOT, data_and_texts, digest
@@ -136,10 +136,10 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     opened: dict[str, Any] = {}
 
     def load() -> tuple[str, str]:
-        whole, notes = expand(data, name)
+        whole = expand(data, name)
         opened["file"] = open_mesh(whole, name if format != "gz" else "scan", None)
         opened["whole"] = whole
-        return digest(whole), str(notes)
+        return digest(whole), str(is_gzip(data))
 
     def describe() -> tuple[str, str]:
         file = opened["file"]

@@ -32,7 +32,7 @@ def outcome(data: bytes, format: str) -> str:
 
 
 def _outcome(data: bytes, format: str) -> str:
-    whole, _ = gzip_streams.expand(data, f"scan.{format}")
+    whole = gzip_streams.expand(data, f"scan.{format}")
     if format == "gz":
         # Formats that libraries read are not ours to bend.
         if detection.content_format(whole) not in detection.OWN_FORMATS:

@@ -26,11 +26,10 @@ def opened():
     return open_mesh(obj(VERTICES), "scan.obj", "obj")
 
 
-def built(vertices=VERTICES, path="out.obj", data=None, is_compressed=False, **options):
+def built(vertices=VERTICES, path="out.obj", data=None, **options):
     data = obj(VERTICES) if data is None else data
     settings = Settings("none", {}, **options)
-    source = output.Source(data, "scan.obj", is_compressed)
-    return output.build_output(opened(), vertices, settings, path, source)
+    return output.build_output(opened(), vertices, settings, path, data)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, -1e6])
@@ -56,26 +55,25 @@ def test_what_is_encoded_anew_is_read_back(scale, monkeypatch):
 
 def test_whole_numbers_are_rounded_when_they_are_encoded_anew(monkeypatch):
     data = ply_text(7 * VERTICES, FACES).replace(b"float", b"int").replace(b".000000", b"")
-    whole, source = open_mesh(data, "in.ply"), output.Source(data, "in.ply", False)
+    whole = open_mesh(data, "in.ply")
     settings = Settings("none", {}, encoding="binary")
     moved = output.as_stored(whole, settings, "out.ply", whole.vertices + 0.375)
-    made = output.build_output(whole, moved, settings, "out.ply", source)
+    made = output.build_output(whole, moved, settings, "out.ply", data)
     assert (open_mesh(bytes(made.data), "out.ply").vertices == whole.vertices).all()
     other = whole.encoded(whole.vertices + 1.0, "binary", "same")
     monkeypatch.setattr(type(whole), "encoded", lambda *given: other)
     with pytest.raises(InternalError, match="other positions"):
-        output.build_output(whole, whole.vertices, settings, "out.ply", source)
+        output.build_output(whole, whole.vertices, settings, "out.ply", data)
 
 
 def test_what_moves_by_less_than_float32_can_hold_keeps_its_normals():
     data = bytearray(plain_stl.binary(VERTICES[FACES].reshape(-1, 9) + 10.0))
     stl = open_mesh(bytes(data), "in.stl")
-    source = output.Source(bytes(data), "in.stl", False)
     nudged = stl.vertices + 1e-9 * np.arange(stl.vertices.size).reshape(-1, 3)
     nudged = output.as_stored(stl, Settings("none", {}), "out.stl", nudged)
     assert (nudged == stl.vertices).all()
     nudged[0] += 0.5
-    made = output.build_output(stl, nudged, Settings("none", {}), "out.stl", source).data
+    made = output.build_output(stl, nudged, Settings("none", {}), "out.stl", data).data
     before, after = (np.frombuffer(d, "V50", offset=84) for d in (bytes(data), bytes(made)))
     assert ((before != after) == (stl.faces == 0).any(axis=1)).all()
 
@@ -94,8 +92,8 @@ def test_what_has_not_changed_is_the_input_itself():
     data = obj(VERTICES)
     assert built(data=data).data is data
     packed = gzip.compress(data)
-    assert built(data=packed, path="out.obj.gz", is_compressed=True).data is packed
-    assert built(data=packed, path=None, is_compressed=True).data is packed
+    assert built(data=packed, path="out.obj.gz").data is packed
+    assert built(data=packed, path=None).data is packed
     assert built().references == ("none.mtl",)
 
 

@@ -74,7 +74,7 @@ PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 def opened(noisy: Path, clean: Path) -> tuple[Mesh, Mesh]:
     """The noisy mesh, and the same with the positions of the clean one."""
     first, second = (
-        codecs.open_mesh(expand(read_whole(str(path)), path.name)[0], path.name)
+        codecs.open_mesh(expand(read_whole(str(path)), path.name), path.name)
         for path in (noisy, clean)
     )
     ready = prepare_mesh(first.vertices, first.faces)
