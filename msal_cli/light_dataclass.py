@@ -17,27 +17,26 @@ if TYPE_CHECKING:
     from dataclasses import dataclass as dataclass
 else:
 
-    def dataclass(cls=None, /, *, frozen=False, eq=True, repr=True, slots=False, kw_only=False):
+    def dataclass(*, frozen=False, eq=True, slots=False, kw_only=False):
         """Like ``dataclasses.dataclass``; ``fields``, ``replace`` and ``asdict`` work as usual."""
-        if cls is None:
-            given = {"frozen": frozen, "eq": eq, "repr": repr, "slots": slots, "kw_only": kw_only}
-            return functools.partial(dataclass, **given)
-        if cls.__doc__ is None:
-            cls.__doc__ = cls.__name__  # else the library inspects its signature, which is slow
-        plain = {"init": False, "repr": False, "eq": False}
-        # ``slots`` makes a new class, so the methods are set after this call.
-        made = dataclasses.dataclass(cls, slots=slots, kw_only=kw_only, **plain)
-        methods = {"__init__": _initialize}
-        if repr:
-            methods["__repr__"] = _show
+        given = {"slots": slots, "kw_only": kw_only, "init": False, "repr": False, "eq": False}
+        methods = {"__init__": _initialize, "__repr__": _show}
         if eq:
             methods |= {"__eq__": _is_equal, "__hash__": _hash if frozen else None}
         if frozen:
             methods |= {"__setattr__": _refuse, "__delattr__": _refuse, "__setstate__": _restore}
-        for name, method in methods.items():
-            if name not in vars(cls):
-                setattr(made, name, method)
-        return made
+
+        def build(cls):
+            if cls.__doc__ is None:
+                cls.__doc__ = cls.__name__  # else the library inspects its signature: slow
+            # ``slots`` makes a new class, so the methods are set after this call.
+            made = dataclasses.dataclass(cls, **given)
+            for name, method in methods.items():
+                if name not in vars(cls):
+                    setattr(made, name, method)
+            return made
+
+        return build
 
 
 @functools.cache

@@ -212,7 +212,25 @@ class Gate:
         self._file_unit = file_unit
         # By column.  For Python's parser, numbers are replaced by underscores.
         self._numbers: dict[int, _Meaning] = {}
-        self.verdict = self._parse()  # its value in a record
+        self._verdict = self._parse()
+
+    def evaluate(self, record: Any) -> GateResult:
+        """The result for one record.
+
+        Unknown values decide nothing: ``volume.valid and abs(volume_change) > 1%`` is false for an
+        open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
+        """
+        verdict, items = self._verdict(record), self.quantities.values()
+        known = {item.name: item.value_in(record) for item in items}
+        reason = ", ".join(item.describe(record) for item in items)
+        reason = reason or "it names nothing of the file"
+        if verdict is None:
+            unknown = [item.why_unknown(record) for item in items if known[item.name] is None]
+            reason = "; ".join(unknown) or f"it cannot be computed: {reason}"
+        # In the values, true becomes 1.
+        values = {name: value if value is None else value + 0 for name, value in known.items()}
+        is_broken, is_decided = verdict is not False, verdict is not None
+        return GateResult(self.expression, is_broken, is_decided, values, reason)
 
     def _parse(self) -> Callable[[Any], Value]:
         if len(self._text) > MAX_LENGTH:
@@ -449,28 +467,6 @@ def need_intersections(gates: Sequence[Gate]) -> bool:
     return any(item.part == "self_intersections" for item in items)
 
 
-def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
-    """The results of gates for one record.
-
-    Unknown values decide nothing: ``volume.valid and abs(volume_change) > 1%`` is false for an open
-    mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
-    """
-    results = []
-    for gate in gates:
-        verdict, items = gate.verdict(record), gate.quantities.values()
-        known = {item.name: item.value_in(record) for item in items}
-        reason = ", ".join(item.describe(record) for item in items)
-        reason = reason or "it names nothing of the file"
-        if verdict is None:
-            unknown = [item.why_unknown(record) for item in items if known[item.name] is None]
-            reason = "; ".join(unknown) or f"it cannot be computed: {reason}"
-        # In the values, true becomes 1.
-        values = {name: value if value is None else value + 0 for name, value in known.items()}
-        is_broken, is_decided = verdict is not False, verdict is not None
-        results.append(GateResult(gate.expression, is_broken, is_decided, values, reason))
-    return tuple(results)
-
-
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
     """The records with the results of the gates; files that failed or were not processed get none,
     because their status is enough."""
@@ -479,6 +475,6 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
     return [
         record
         if record.error is not None or getattr(record, "status", "") == "planned"
-        else replace(record, gates=evaluate_gates(gates, record))
+        else replace(record, gates=tuple(gate.evaluate(record) for gate in gates))
         for record in records
     ]

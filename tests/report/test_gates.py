@@ -8,13 +8,7 @@ from hypothesis import strategies as st
 
 from msal_cli.errors import UsageError
 from msal_cli.job.records import Area, MeshRecord, NormalChange, Reference, Volume
-from msal_cli.report.gates import (
-    MAX_LENGTH,
-    evaluate_gates,
-    parse_gates,
-    refuse_without_reference,
-    with_gates,
-)
+from msal_cli.report.gates import MAX_LENGTH, parse_gates, refuse_without_reference, with_gates
 from tests.report.made import failed, written
 
 # Volume 10 -> 9.9734 (-0.266 %), displacement 0.1 to 0.4, which is 1 to 4 mean edge lengths.
@@ -28,8 +22,7 @@ OPEN = dataclasses.replace(CLOSED, volume=Volume(1.0, 3.0, 2.0, 200.0, False, "o
 
 
 def result(text, record=CLOSED):
-    (found,) = evaluate_gates(parse_gates([text], MeshRecord), record)
-    return found
+    return parse_gates([text], MeshRecord)[0].evaluate(record)
 
 
 @pytest.mark.parametrize(
@@ -43,7 +36,7 @@ def result(text, record=CLOSED):
     ],
 )
 def test_lengths_with_a_unit(text, unit, is_broken):
-    (found,) = evaluate_gates(parse_gates([text], MeshRecord, unit), CLOSED)
+    found = parse_gates([text], MeshRecord, unit)[0].evaluate(CLOSED)
     assert found.broken == is_broken
 
 
@@ -195,7 +188,7 @@ def test_the_longest_expressions_can_be_judged(sign):
     start = "1>0" if "1>" in sign else "1"
     start = "" if sign == "-" else start
     text = start + sign * ((MAX_LENGTH - 8) // len(sign)) + ("" if "1>" in sign else "1 > 0")
-    assert evaluate_gates(parse_gates([text], MeshRecord), CLOSED)[0].decided
+    assert parse_gates([text], MeshRecord)[0].evaluate(CLOSED).decided
 
 
 WORDS = [
@@ -214,6 +207,6 @@ def test_any_text_is_refused_or_judged(text):
     except UsageError as error:
         assert "column" in error.message
     else:
-        (result,) = evaluate_gates(gates, CLOSED)
+        result = gates[0].evaluate(CLOSED)
         assert result.broken or result.decided
         assert result.reason
