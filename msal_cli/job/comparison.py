@@ -36,9 +36,6 @@ from msal_cli.storage.gzip_streams import is_gzip
 from msal_cli.storage.regular import Buffer
 from msal_cli.version import __version__
 
-HEATMAP_QUANTILE = 0.99
-"""Share of the vertices that the range of a heat map's colours covers."""
-
 
 def open_mesh_file(path: str, format: str | None = None, unit: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read or states
@@ -310,26 +307,11 @@ def build_heatmap(
     before: MeshFile, after: MeshFile, before_name: str
 ) -> tuple[Buffer, float, float]:
     """``after`` as PLY with its deviations from ``before`` as property and colours, and the range
-    of the colours, file units.
-
-    The range ends at the 99th percentile, so that a few outliers do not leave all in one colour.
-    """
-    from msal_cli.codecs import colours, ply_write
+    of the colours, file units."""
+    from msal_cli.job.fields import Kind, with_colours
 
     values = deviations(surface_of(before), surface_of(after))
-    low, high = 0.0, float(np.quantile(values, HEATMAP_QUANTILE))
-    comments = (
-        f"msal {__version__}: deviation from {before_name}",
-        "deviation: distance to the reference, file units",
-        f"colours: map sequential, pale to dark for deviation {low:g} to {high:.6g} "
-        f"(quantile {HEATMAP_QUANTILE:g}; the largest is {float(values.max()):.6g})",
-    )
-    data = ply_write.write_ply(
-        after.vertices,
-        *after.polygons(),
-        single=after.precision == "float32",
-        colours=colours.map_colours(values, low, high, "sequential"),
-        fields={"deviation": values},
-        comments=comments,
-    )
-    return data, low, high
+    kind = Kind("distance to the reference, file units", "sequential", 0.99)
+    comments = (f"msal {__version__}: deviation from {before_name}", f"deviation: {kind.meaning}")
+    remark = f"; the largest is {float(values.max()):.6g}"
+    return with_colours(after, after.vertices, {"deviation": values}, kind, comments, remark)

@@ -1,8 +1,4 @@
-"""Fields for ``msal denoise --fields``: numbers at the vertices that show what denoising did.
-
-A quantile of its values bounds the colours of a field, so that a few outliers do not leave all the
-rest in one colour.
-"""
+"""Fields for ``msal denoise --fields``: numbers at the vertices that show what denoising did."""
 
 import hashlib
 import os
@@ -21,6 +17,7 @@ from msal_cli.job.records import FieldsFile
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import PreparedMesh
 from msal_cli.storage.atomic import Sources, write_whole
+from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import Buffer, open_regular
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
@@ -59,9 +56,8 @@ KINDS = {
 
 def path_beside(output: str) -> str:
     """The path of the file with the fields of an output."""
-    folder, base = os.path.split(output)
-    stem = base[:-3] if base.lower().endswith(".gz") else base
-    return os.path.join(folder, os.path.splitext(stem)[0] + SUFFIX)
+    stem = output[:-3] if is_gzip_name(output) else output
+    return os.path.splitext(stem)[0] + SUFFIX
 
 
 def compute(
@@ -111,31 +107,46 @@ def build_file(
 
     ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, at least one.
     """
+    names = tuple(values)
+    kind = KINDS[names[0]]
+    comments = [f"msal {__version__}: fields of a denoised mesh"]
+    comments += [
+        f"{name}: {KINDS[name].meaning}; {field.min():.6g} to {field.max():.6g}"
+        for name, field in values.items()
+    ]
+    data, low, high = with_colours(mesh_file, vertices, values, kind, comments)
+    digest = hashlib.sha256(data).hexdigest()
+    return data, FieldsFile(path, names, names[0], kind.map, low, high, digest)
+
+
+def with_colours(
+    mesh_file: MeshFile,
+    vertices: Floats,
+    values: Mapping[str, Floats],
+    kind: Kind,
+    comments: Sequence[str],
+    remark: str = "",
+) -> tuple[Buffer, float, float]:
+    """A PLY with fields (n,) at its vertices (n, 3), the first one, of this ``kind``, as colours,
+    too; and the range of the colours.  A ``remark`` ends the comment about these.
+
+    A quantile bounds the range, so that a few outliers do not leave all the rest in one colour.
+    """
     name, shown = next(iter(values.items()))
-    kind = KINDS[name]
     is_signed = kind.map == "diverging"
     high = float(np.quantile(np.abs(shown) if is_signed else shown, kind.quantile))
     low = -high if is_signed else 0.0
-    comments = [f"msal {__version__}: fields of a denoised mesh"]
-    comments += [
-        f"{field_name}: {KINDS[field_name].meaning}; {field.min():.6g} to {field.max():.6g}"
-        for field_name, field in values.items()
-    ]
     ends = "blue over pale to brown" if is_signed else "pale to dark"
-    comments += [
-        f"colours: map {kind.map}, {ends} for {name} {low:.6g} to {high:.6g} "
-        f"(quantile {kind.quantile:g})"
-    ]
+    scale = f"{ends} for {name} {low:.6g} to {high:.6g} (quantile {kind.quantile:g}{remark})"
     data = ply_write.write_ply(
         vertices,
         *mesh_file.polygons(),
         single=mesh_file.precision == "float32",
         colours=colours.map_colours(shown, low, high, kind.map),
         fields=values,
-        comments=comments,
+        comments=(*comments, f"colours: map {kind.map}, {scale}"),
     )
-    digest = hashlib.sha256(data).hexdigest()
-    return data, FieldsFile(path, tuple(values), name, kind.map, low, high, digest)
+    return data, low, high
 
 
 def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:
