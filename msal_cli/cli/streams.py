@@ -13,7 +13,7 @@ from msal_cli.cli.options import STREAM
 from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
 from msal_cli.job.output import write_output
 from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format, suffix
-from msal_cli.storage.regular import largest_bytes
+from msal_cli.storage.regular import LARGE_BYTES, largest_bytes
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from msal_cli.storage.regular import Buffer
 
 _PIECE = 1 << 20
-
-_LARGE_BYTES = 4 << 20
 
 
 def find_stream(inputs: tuple[str, ...], output: str | None) -> Task:
@@ -102,7 +100,7 @@ def read_stream() -> Buffer:
             hint="cut the mesh into parts, or use a machine with more memory",
         )
     # Libraries copy what is not ``bytes``; a large file must not be copied here.
-    return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
+    return bytes(data) if len(data) < LARGE_BYTES else memoryview(data).toreadonly()
 
 
 def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> MeshRecord:
