@@ -281,7 +281,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         # A closed surface has half as many vertices as facets, once its corners are welded.
         n = expected.faces // 2
     if n is None and size is not None:
-        plain_size = size * (_PACKED if task.input.lower().endswith(".gz") else 1)
+        plain_size = size * (_PACKED if gzip_streams.is_gzip_name(task.input) else 1)
         each = _STL_BYTES if expected.format == "stl" else _BYTES_PER_VERTEX
         n = int(float(f"{plain_size / each:.2g}"))
     try:

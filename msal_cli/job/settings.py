@@ -131,7 +131,6 @@ class Task:
 
     @property
     def backup_path(self) -> str:
-        """Where the original is kept."""
         return self.input + (self.backup or "")
 
 
@@ -220,7 +219,6 @@ class Length:
         return f"{self.value!r}{'e' if self.in_edges else ''}"
 
     def in_units(self, mean_edge_length: float) -> float:
-        """The length in file units."""
         return self.value * mean_edge_length if self.in_edges else self.value
 
 

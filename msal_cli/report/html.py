@@ -263,8 +263,6 @@ def _json(data: Any) -> str:
 _SIZE = 240, 180
 _POSTER = 480, 320
 _BACKGROUND = 236, 238, 241
-_SHADES = 32
-_STANDARD_RANGE = 0.5
 # Moves below this, in mean edge lengths, are rounding.
 _ROUNDING_EDGES = 1e-9
 
@@ -400,14 +398,14 @@ def _reach(records: Sequence[MeshRecord]) -> float:
     moves = known_values(done, "displacement.p95_edges")
     sizes = [size for size in moves if math.isfinite(size) and size > _ROUNDING_EDGES]
     if not sizes:
-        return _STANDARD_RANGE
+        return 0.5
     wanted = 2.0 * statistics.median(sizes)
     power = 10.0 ** math.floor(math.log10(wanted))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted * 0.999)
 
 
 def _draw_legend(reach: float) -> str:
-    shades = colour_table("diverging")[:: 256 // _SHADES]
+    shades = colour_table("diverging")[::8]
     size = 100 / len(shades)
     rects = [
         f'<rect x="{at * size:.3f}" width="{size + 0.2:.3f}" height="10" fill="rgb{tuple(shade)}"/>'

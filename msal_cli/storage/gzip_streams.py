@@ -11,7 +11,6 @@ from msal_cli.machine import in_background
 from msal_cli.storage import regular
 from msal_cli.storage.urls import is_url
 
-GZIP_SUFFIX = ".gz"
 GZIP_MAGIC = b"\x1f\x8b"
 
 ALWAYS_EXPANDED = 32 << 20
@@ -99,8 +98,7 @@ def _read_to_end(file: BinaryIO, expected: int) -> regular.Buffer:
 
 
 def is_gzip_name(name: str) -> bool:
-    """Whether a file name ends in ``.gz``, in any case."""
-    return name.lower().endswith(GZIP_SUFFIX)
+    return name.lower().endswith(".gz")
 
 
 def is_gzip(data: regular.Buffer) -> bool:
