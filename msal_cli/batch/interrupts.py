@@ -27,7 +27,6 @@ class Terminated(KeyboardInterrupt):
 
 
 def raise_for(signum: int) -> NoReturn:
-    """Raise KeyboardInterrupt for SIGINT, Terminated for any other signal."""
     if signum == signal.SIGINT:
         raise KeyboardInterrupt
     raise Terminated(signum)

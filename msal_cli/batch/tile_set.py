@@ -204,7 +204,6 @@ class SetRun:
         return shared, parts
 
     def _denoise_members(self) -> None:
-        """Denoise the joined mesh, and write each file."""
         shared, parts = self._describe()
         # For STL these are the welded vertices.
         counts = [member.record.vertices or 0 for member in self._members]
@@ -323,7 +322,6 @@ class SetRun:
     def _record_gaps(
         self, shared: SharedBorders, written: Floats, is_single: Flags, warnings: Sequence[str]
     ) -> None:
-        """Add to the records the gaps between files, and warnings."""
         # If only some of the files that have a point have single precision, compare in that.
         counts = np.bincount(shared.group, minlength=len(shared.group))
         n_single = np.bincount(

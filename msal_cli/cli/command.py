@@ -243,9 +243,6 @@ def completion(request: Request) -> int:
 
 _FILE_NAME = "msal.toml"
 
-_ROOT_MARKS = (".git", ".hg")
-_NEVER = ("config", "no_config")
-
 # A file found in a folder of scans from elsewhere must not replace originals or other files, nor
 # involve another machine: only a file that is named may do so.
 _ONLY_NAMED = (
@@ -263,7 +260,7 @@ def _find_file() -> str | None:
         return _FILE_NAME
     here = Path(os.path.realpath(os.curdir))
     folders = [here, *here.parents]
-    are_roots = [any((folder / mark).exists() for mark in _ROOT_MARKS) for folder in folders]
+    are_roots = [any((folder / mark).exists() for mark in (".git", ".hg")) for folder in folders]
     # Outside of a repository, parents may belong to anyone, such as /tmp.
     n_parents = are_roots.index(True) if True in are_roots else 0
     for folder in folders[1 : n_parents + 1]:
@@ -292,7 +289,9 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, A
     keys = {
         key_of(option): option
         for option in ctx.command.get_params(ctx)
-        if isinstance(option, click.Option) and not (option.name in _NEVER or option.is_eager)
+        if isinstance(option, click.Option)
+        and not option.is_eager
+        and option.name not in ("config", "no_config")
     }
     values: dict[str, Any] = {}
     for key, value in tables.get(command, {}).items():

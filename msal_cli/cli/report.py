@@ -107,8 +107,6 @@ def command(request: Request) -> int:
     return console.worst_status(status, console.SOME_FAILED) if is_unfinished else status
 
 
-_MAX_LOOKED_AT = 10  # files of a run by which its folder is found
-
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 
 
@@ -184,7 +182,7 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
 
     is_manifest = source.name.startswith(manifest.PARTS_FOLDER)
     source = inputs.resolve(source.parent if is_manifest else source)
-    records = [row.record for row in rows[:_MAX_LOOKED_AT]]
+    records = [row.record for row in rows[:10]]
     names = [name for record in records for name in (record.input, record.output) if name]
     folders = (source, *source.parents, Path.cwd())
     # Only absolute names keep their place below what is no folder.

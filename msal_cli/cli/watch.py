@@ -40,8 +40,6 @@ _SHARE_OF_LISTING = 0.1  # listing takes at most this part of the time, however 
 
 _log = logging.getLogger("msal.batch")
 
-_STEP_S = 0.1
-
 _NOT_GIVEN = {
     **dict.fromkeys(("in_place", "no_backup", "dry_run", "tile_set", "as_json"), False),
     **dict.fromkeys(("backup", "shard", "scheduler", "scratch", "reference")),
@@ -171,7 +169,7 @@ class _Watch:
                     quiet_since = time.monotonic()
                 elif idle_s is not None and time.monotonic() - quiet_since >= idle_s:
                     return []
-                time.sleep(_STEP_S)
+                time.sleep(0.1)
         return []
 
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:

@@ -157,7 +157,6 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 
 
 def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
-    """The result of ``read``, or its error."""
     try:
         return read(), None
     except MsalError as error:

@@ -99,10 +99,6 @@ class Surface:
         raise NotImplementedError
 
 
-_MAX_CONDITION = 1e6
-_MAX_ENTRY = 1e30
-"""Larger entries of a frame could make float32 positions too large for computations."""
-
 PLACEMENT = "placement in the scene"
 """The property of a scene whose only mesh is denoised in its own frame, while the scene rotates,
 scales or shifts it."""
@@ -112,10 +108,11 @@ def is_usable(frame: Floats) -> bool:
     """Whether positions can be transformed by a frame and back without loss."""
     try:
         with np.errstate(all="ignore"):
-            is_steep = not np.linalg.cond(frame[:3, :3]) < _MAX_CONDITION
+            is_steep = not np.linalg.cond(frame[:3, :3]) < 1e6
     except np.linalg.LinAlgError:
         return False
-    return not is_steep and bool(np.abs(frame).max() < _MAX_ENTRY)
+    # Larger entries could make float32 positions too large for computations.
+    return not is_steep and bool(np.abs(frame).max() < 1e30)
 
 
 def is_placed(frame: Floats) -> bool:
@@ -213,9 +210,6 @@ def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
     triangles = np.empty((int(np.maximum(sizes - 2, 0).sum()), 3), dtype=np.int32)
     ply_scan.fans(corners, np.ascontiguousarray(sizes), triangles)
     return triangles
-
-
-_NORMAL_SLACK = 1e-5  # how much the length of a new normal may differ from one
 
 
 class MeshFile(Surface):
@@ -504,7 +498,7 @@ def require_unit_length(normals: Floats, is_new: Flags) -> None:
     """Raise InternalError if a new normal (n, 3) is not of unit length."""
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt((normals * normals).sum(axis=1))
-    is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_new
+    is_wrong = ~(np.abs(lengths - 1.0) <= 1e-5) & is_new
     if is_wrong.any():
         where = f"normal {np.argmax(is_wrong) + 1}"
         raise InternalError("a new normal is not of unit length", where=where)

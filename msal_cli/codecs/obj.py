@@ -86,7 +86,6 @@ _SHOWN = 3
 _MIN_PIECE = 1 << 22  # bytes that are worth a thread
 
 _LOOKED_AT = 4096
-_ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
@@ -524,7 +523,7 @@ def refuse_binary(data: Buffer) -> None:
     # The end-of-file mark of old systems is kept, as a line that is no statement.
     control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
     # Zeros are searched for in more of the file, whose first pages may be intact.
-    found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
+    found = control.start() if control else bytes(memoryview(data)[: 1 << 16]).find(0)
     if found >= 0:
         raise _binary_error(data, found)
 

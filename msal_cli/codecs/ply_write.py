@@ -211,7 +211,6 @@ def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
 
 _TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
 _SHADES = ("red", "green", "blue", "alpha")
-_MAX_COMMENT = 1000
 
 
 def write_ply(
@@ -254,7 +253,7 @@ def write_ply(
     shown = ("".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts)
     count_type = "uint" if int(sizes.max()) > 255 else "uchar"
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {text[:_MAX_COMMENT]}" for text in shown]
+    header += [f"comment {text[:1000]}" for text in shown]
     header += [f"element vertex {len(rows)}"]
     header += [f"property {_TYPES[code]} {name}" for name, code, _ in columns]
     header += [f"element face {len(sizes)}", f"property list {count_type} int vertex_indices"]

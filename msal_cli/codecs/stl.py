@@ -30,7 +30,6 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u
 MAX_FACETS = (2**31 - 1) // 3  # facets whose corners can be numbered with 32 bits
 
 _BEGIN = b"binary STL "
-_USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
 _AT_ONCE = 1 << 14  # facets whose bytes, old and new, stay in the processor's cache
@@ -370,7 +369,7 @@ class StlTextFile(_FacetFile):
         if bytes(buf[:3]) == BYTE_ORDER_MARK:
             state[stl_facets.AT] = len(BYTE_ORDER_MARK)
         # The arrays grow with what is scanned, never with what is claimed.
-        room = len(buf) // _USUAL_FACET + 1
+        room = len(buf) // 200 + 1  # usual bytes of a facet
         run_at, numbers = np.empty((room, 4), dtype=np.int64), np.empty((room, 12))
         solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
         decimals = np.zeros(4, dtype=np.int64)

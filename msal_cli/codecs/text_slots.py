@@ -34,9 +34,6 @@ SHORTEST = 18  # instead of a number of decimals: the shortest text that is read
 NORMAL_DECIMALS = 6  # least decimals of a recomputed unit normal
 SIGNIFICANT_DIGITS = 15  # decimal digits that float64 can always keep
 
-_FAR_FINER = 1e-7
-"""Part of the bounding box's diagonal: the coarsest step with which positions are written."""
-
 _NUMBER = re.compile(rb"[^\s\"'\\]*")
 
 
@@ -54,7 +51,7 @@ def extent_decimals(vertices: Floats) -> int | None:
     if all positions (n, 3) are the same."""
     # Column by column: numpy reduces the first of two axes slowly.  Halves cannot overflow.
     halves = [float(column.max() * 0.5 - column.min() * 0.5) for column in vertices.T]
-    step = min(2.0 * math.hypot(*halves), 1e300) * _FAR_FINER
+    step = min(2.0 * math.hypot(*halves), 1e300) * 1e-7
     return math.ceil(-math.log10(step)) if step > 0.0 else None
 
 

@@ -25,9 +25,6 @@ from msal_cli.storage.regular import Buffer, memory_bytes
 
 LARGEST_RATIO = 40  # expanded bytes of XML per byte of the archive; see docs/formats.md
 
-_MAX_RELATIONSHIPS = 1 << 20
-"""Bytes of the relationships of a package; real ones have some hundreds."""
-
 _RELATIONSHIPS = "http://schemas.openxmlformats.org/package/2006/relationships"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _KEYSTORE_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2019/04/keystore"
@@ -127,7 +124,7 @@ class ThreeMfFile(mesh_file.MeshFile):
 
     def _root_target(self) -> str:
         root = self._member(_ROOT, "central directory")
-        content = self.archive.content(root, _MAX_RELATIONSHIPS)
+        content = self.archive.content(root, 1 << 20)  # real ones have some hundred bytes
         targets = []
         for element in parse_tree(content, name=_ROOT).inner():
             if element.space != _RELATIONSHIPS or element.name != "Relationship":

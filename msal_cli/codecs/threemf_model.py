@@ -100,7 +100,6 @@ class Use:
 
 
 def place_of(text: bytes, name: str, at: int) -> str:
-    """The place of a byte of a part, as text."""
     return f"{name}, line {1 + text.count(10, 0, at)}"
 
 

@@ -35,7 +35,6 @@ _CODES = {
     for bits in (8, 16, 32, 64)
 } | {"Float32": "f4", "Float64": "f8"}
 _MAX_LZMA_BYTES = 256 << 20
-_BLANKS = b" \t\r\n"
 _TOO_SHORT = "an array ends before all its bytes are there"
 
 
@@ -267,7 +266,7 @@ class _Source:
     """
 
     def __init__(self, view: memoryview, at: int, *, is_raw: bool) -> None:
-        while not is_raw and at < len(view) and view[at] in _BLANKS:
+        while not is_raw and at < len(view) and view[at] in b" \t\r\n":
             at += 1
         self.first = self.at = at
         self.is_split = False
@@ -312,7 +311,6 @@ class XmlLayout(Layout):
 
     @property
     def arrays(self) -> list[XmlSlots]:
-        """All positions and normals."""
         return [*self.positions, *self.normals]  # type: ignore[list-item]
 
     def dependents(self) -> list[Span]:

@@ -48,7 +48,6 @@ class Element:
         return self.children[0].start if self.children else self.stop
 
     def find(self, name: str) -> Element | None:
-        """The first child of that name."""
         return next(self.all(name), None)
 
     def all(self, name: str) -> Iterator[Element]:

@@ -34,8 +34,6 @@ STEPS_PER_EDGE = 256
 _MAX_STEPS = (1 << 22) - 1
 """Grid steps along the longest side: exact in float32, with room for sums."""
 
-_DEVIATION_STEPS = 65535
-
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
@@ -174,7 +172,7 @@ def _deviation(
     least, most = float(finite.min()), float(finite.max())
     span = (most - least) or 1.0
     steps = np.where(is_finite, values, 0.0)[kept]
-    steps = np.rint((np.clip(steps, least, most) - least) / span * _DEVIATION_STEPS)
+    steps = np.rint((np.clip(steps, least, most) - least) / span * 65535)
     low, high = ends
     colours = colour_table("diverging" if low < 0 else "sequential")
     scale: dict[str, object] = {
