@@ -26,7 +26,6 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-_MAX_NAME_WIDTH = 26
 # Paragraphs of the docstring that the short help shows.
 _PARAGRAPHS = 2
 _MAX_DEFAULT_LENGTH = 20  # longer defaults are shown only by --help-all
@@ -165,7 +164,7 @@ class Command(click.Command):
             for title, options in self.grouped_options(ctx, everything=everything)
         ]
         widths = [len(name) for _, rows in sections for name, _ in rows]
-        width = max(n for n in widths if n <= _MAX_NAME_WIDTH)
+        width = max(n for n in widths if n <= 26)
         for title, rows in sections:
             with formatter.section(title):
                 # All groups have columns of the same width.

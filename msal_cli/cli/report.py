@@ -118,10 +118,6 @@ def _summarize(
 
     ``is_checked`` also compares the outputs in local folders with their hashes.
 
-    Of several rows with the same input and output the newest counts.  The run is the newest
-    one; its times span all runs of the same version and settings, and its seconds are those in
-    which at least one of them was running.
-
     Raises UsageError for a name without a file, a folder or a manifest in it; FormatError for a
     file that is neither a manifest nor a report; OutputError or InputError if one cannot be read.
     """

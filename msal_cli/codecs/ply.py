@@ -427,7 +427,6 @@ class PlyFile(mesh_file.MeshFile):
         return sections["vertex"].slots(names).values
 
     def vertex_property(self, name: str) -> Floats:
-        """The scalar property ``name`` of the vertices (n,), or InputError (``E_PROPERTY``)."""
         scalars = self.vertex_scalars()
         if name not in scalars:
             is_list = self._layout.sections["vertex"].element.find(name) is not None
