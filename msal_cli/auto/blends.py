@@ -391,9 +391,11 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
 def _weight_to_reach(base: Floats, move: Floats, target: Floats) -> float | None:
     """The smallest weight of ``move``, in hundredths from 0.01, with which the mean and root mean
     square of the displacements reach ``target`` (2,); None if no weight does."""
-    weights = (0.01 * percent for percent in range(1, 101))
-    mixed = ((weight, base + weight * (move - base)) for weight in weights)
-    return next((weight for weight, moves in mixed if (_mean_and_rms(moves) >= target).all()), None)
+    for percent in range(1, 101):
+        weight = 0.01 * percent
+        if (_mean_and_rms(base + weight * (move - base)) >= target).all():
+            return weight
+    return None
 
 
 def _mean_and_rms(moves: Floats) -> Floats:

@@ -168,7 +168,8 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
     if to == "obj" and colours is not None and (colours[:, 3:] < 255).any():
         losses.append("alpha of the vertex colours")
     faces = mesh_file.faces
-    polygons: tuple[Longs | Ints, Longs] = faces.reshape(-1), np.full(len(faces), 3)
+    sizes = np.full(len(faces), 3, dtype=np.int64)
+    polygons: tuple[Longs | Ints, Longs] = faces.reshape(-1), sizes
     if mesh_file.n_polygons != len(faces) and to in ("ply", "obj"):
         polygons = mesh_file.polygons()
     elif mesh_file.n_polygons != len(faces):

@@ -330,7 +330,7 @@ class MeshFile(Surface):
         """The faces of the file: the corners (c,) of all, and how many each has (p,)."""
         corners, sizes = self._layout.corners, self._layout.sizes
         if not len(sizes):
-            return self.faces.reshape(-1), np.full(len(self.faces), 3)
+            return self.faces.reshape(-1), np.full(len(self.faces), 3, dtype=np.int64)
         return corners, sizes.astype(np.int64, copy=False)
 
     def replaced(self, vertices: Floats) -> Buffer:

@@ -376,8 +376,9 @@ class StlTextFile(_FacetFile):
         status = stl_facets.FULL
         while status == stl_facets.FULL:
             status, at, word = stl_facets.scan(buf, state, run_at, numbers, solid_at, decimals)
-            n_facets = int(state[stl_facets.FACETS])
-            room = n_facets + (n_facets // 2 + 16) * (status == stl_facets.FULL)
+            room = n_facets = int(state[stl_facets.FACETS])
+            if status == stl_facets.FULL:
+                room += n_facets // 2 + 16
             for array in (run_at, numbers):
                 array.resize((room, *array.shape[1:]), refcheck=False)
         if status != stl_facets.WHOLE:

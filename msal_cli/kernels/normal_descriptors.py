@@ -234,7 +234,7 @@ def _lay_guides(row, stop, begin, points, records, memory):
     """Fill a block with the wide weights of ``_lay_neighbours`` and the vectors to be filtered.
 
     They are those of the neighbours from ``row`` to ``stop``, in the block from ``begin`` on.
-    ``records`` has RECORD numbers of each face: six vectors, of which the last two are undefined in
+    ``records`` has RECORD numbers of each face: six vectors, of which the last one is undefined in
     the first stage, and after each a number: the area, then the scatter and the ripples.  The
     vectors follow the weight.  The numbers are added to the first six rows of the sums.
     """

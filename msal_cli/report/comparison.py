@@ -53,11 +53,14 @@ SLACK = 1e-6
 
 def describe_comparison(record: ComparisonRecord) -> Iterator[Line]:
     """The lines for two files that were compared: their names, then one line per measure."""
-    for side in ("before", "after"):
-        counts = (getattr(record, f"{what}_{side}") for what in ("vertices", "corners", "faces"))
-        vertices, corners, faces = counts
-        text = f"{facts.vertices_text(vertices, corners)}, {format_count(faces or 0, 'triangle')}"
-        yield Line(f"{side:8}{file_name(getattr(record, side))}: {text}")
+    before = facts.vertices_text(record.vertices_before, record.corners_before)
+    after = facts.vertices_text(record.vertices_after, record.corners_after)
+    for side, path, vertices, n_faces in (
+        ("before", record.before, before, record.faces_before),
+        ("after", record.after, after, record.faces_after),
+    ):
+        text = f"{vertices}, {format_count(n_faces or 0, 'triangle')}"
+        yield Line(f"{side:8}{file_name(path)}: {text}")
     yield from facts.fact_lines(list_facts(record), 18)
 
 

@@ -113,7 +113,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
         up_to_date=states["up-to-date"],
         planned=states["planned"],
         failed=states["failed"],
-        gate_broken=sum(map(bool, map(list_broken, records))),
+        gate_broken=sum(any(list_broken(record)) for record in records),
         chosen=dict(sorted(chosen.items(), key=lambda item: (-item[1], item[0]))),
         vertices=sum(record.vertices or 0 for record in fresh),
         work_seconds=sum(known_values(fresh, "seconds.total")),

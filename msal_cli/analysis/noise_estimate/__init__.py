@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.analysis.noise_estimate.evidence import (
+    BOUNDARY_SHARE,
     FACING_SHARE,
     LEVELS,
     MISSING,
@@ -340,13 +341,16 @@ def classify(numbers: Floats, least: Mapping[str, float], is_grid: bool = False)
     index = KIND_NAMES.index(kind)
     shared = float(trained.rings.evaluate(numbers)[0])
     rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
-    noise = 1.0 - float(chances[0])
-    if not is_grid and (kind != "view" or rings):
+    noise, probability = 1.0 - float(chances[0]), by_kind[kind]
+    is_open = numbers[BOUNDARY_SHARE] > 0.0
+    if noise > 0.0 and is_open and not is_grid and (kind != "view" or rings):
         # Range scans are open and face one way, and so are parts of a sculpture, whose relief may
         # look like any noise but that of single vertices along the view.
         closed = numbers.copy()
         closed[list(OF_CLOSED)] = list(OF_CLOSED.values())
-        noise = min(noise, 1.0 - float(_find_chances(closed)[0]))
+        least_noise = min(noise, 1.0 - float(_find_chances(closed)[0]))
+        probability *= least_noise / noise
+        noise = least_noise
     measured = level = measured_level(numbers, kind, rings)
     if kind in CORRECTED:
         level = measured_level(numbers, kind, MAX_RINGS)
@@ -355,7 +359,7 @@ def classify(numbers: Floats, least: Mapping[str, float], is_grid: bool = False)
     return Verdict(
         noise=noise,
         kind=kind,
-        probability=by_kind[kind] * noise / float(chances[1:].sum()),
+        probability=probability,
         measured=math.exp(measured),
         level=level,
         low=level * min(float(trained.spreads[index, 0]), 1.0),

@@ -294,11 +294,11 @@ LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
 SIZE = len(LEVELS)
 """Index of the feature that is the logarithm of the number of vertices."""
 
-FACING_SHARE, REGULAR_SHARE = SIZE + 3, SIZE + 4
-"""Indices of the features that are the share of normals within 90 degrees of their mean, and the
-share of vertices of valence 6."""
+BOUNDARY_SHARE, FACING_SHARE, REGULAR_SHARE = SIZE + 1, SIZE + 3, SIZE + 4
+"""Indices of the features that are the share of boundary vertices, that of normals within 90
+degrees of their mean, and that of vertices of valence 6."""
 
-OF_CLOSED = {SIZE + 1: 0.0, SIZE + 2: 0.02, FACING_SHARE: 0.5}
+OF_CLOSED = {BOUNDARY_SHARE: 0.0, SIZE + 2: 0.02, FACING_SHARE: 0.5}
 """The features of the border and of the directions of the normals, by index, of a closed mesh."""
 
 EDGE_LENGTHS = SIZE + 8, SIZE + 12
@@ -313,9 +313,9 @@ PAIRS = ((TWO, ONE), (THREE, TWO), (FOUR, THREE), (SIX, FOUR))
 TINY = 1e-7
 """Mean edge lengths below which a deviation is a rounding error."""
 
-MAX_COUNTED, MAX_REPEATED_VERTICES, MAX_NEIGHBOUR_PLACES = 4_000, 40_000, 400
-"""Largest numbers of vertices that count for the size of a mesh, whose edges are compared in length
-(sorting more takes too long), and whose heights are compared with those of their neighbours."""
+MAX_COUNTED = 4_000  # vertices that count for the size of a mesh
+MAX_REPEATED_VERTICES = 40_000  # whose edges are compared in length: sorting more takes too long
+MAX_NEIGHBOUR_PLACES = 400  # vertices whose heights are compared with those of their neighbours
 
 GRID = 0.025
 """Median displacement across the view, of vertices from the means of their one-rings, mean edge
