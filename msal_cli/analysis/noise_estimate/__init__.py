@@ -348,9 +348,8 @@ def classify(numbers: Floats, least: Mapping[str, float], is_grid: bool = False)
         # look like any noise but that of single vertices along the view.
         closed = numbers.copy()
         closed[list(OF_CLOSED)] = list(OF_CLOSED.values())
-        least_noise = min(noise, 1.0 - float(_find_chances(closed)[0]))
-        probability *= least_noise / noise
-        noise = least_noise
+        lowered = min(noise, 1.0 - float(_find_chances(closed)[0]))
+        noise, probability = lowered, probability * lowered / noise
     measured = level = measured_level(numbers, kind, rings)
     if kind in CORRECTED:
         level = measured_level(numbers, kind, MAX_RINGS)

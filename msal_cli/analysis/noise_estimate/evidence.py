@@ -415,13 +415,19 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
 
 
 def _is_grid(survey: Survey, axis: AxisEvidence | None) -> bool:
+    """Whether vertices are near the means of their one-rings across the view, which is the mean
+    normal or the axis of the noise; see ``GRID``."""
+    if not len(survey.offsets):
+        return False
     mean = survey.normals.sum(axis=0)
     views = [mean / max(math.sqrt(float(mean @ mean)), TINY)]
-    views += [] if axis is None else [axis.axis]
-    offsets = survey.offsets
-    across = [offsets - np.outer(offsets @ view, view) for view in views]
-    squares = [median((some * some).sum(axis=1)) for some in across if len(some)]
-    return min(squares, default=math.inf) < GRID * GRID
+    if axis is not None:
+        views.append(axis.axis)
+    squares = []
+    for view in views:
+        across = survey.offsets - np.outer(survey.offsets @ view, view)
+        squares.append(median((across * across).sum(axis=1)))
+    return min(squares) < GRID * GRID
 
 
 def _log(value: float, base: float = 1.0) -> float:
