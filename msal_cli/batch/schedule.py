@@ -232,4 +232,5 @@ def estimate_memory(
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
     light = limited(BASE_BYTES + int(per_byte * largest_light))
     available = available_bytes()
+    # The rest is for what the forecasts miss, and for other programs.
     return large, light, None if available is None else int(0.8 * available)

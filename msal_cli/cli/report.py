@@ -178,6 +178,7 @@ def _locate(rows: Sequence[FileRow], source: Path) -> list[FileRow]:
 
     is_manifest = source.name.startswith(manifest.PARTS_FOLDER)
     source = inputs.resolve(source.parent if is_manifest else source)
+    # A few files show where the folder is.
     records = [row.record for row in rows[:10]]
     names = [name for record in records for name in (record.input, record.output) if name]
     folders = (source, *source.parents, Path.cwd())
