@@ -95,7 +95,10 @@ def find_outliers(mesh: Mesh) -> Outliers:
     different lengths, because CAD exports have such vertices and scans do not; nor are fixed and
     boundary vertices.  Without outliers the cost is about that of one sweep.
     """
-    return _Search(mesh, BOUND).run()
+    found = _Search(mesh, BOUND).run()
+    # Few methods need it, and it takes more memory than the vertices.
+    mesh.topology.release_incidence()
+    return found
 
 
 class _Search:

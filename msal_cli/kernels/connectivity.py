@@ -182,6 +182,10 @@ class Connectivity:
         """The faces around each vertex in CSR form: row starts (n + 1,), and the faces (3 m,)."""
         return index_rows(len(self.ring_start) - 1, self.faces)
 
+    def release_incidence(self) -> None:
+        """Free the memory of ``incidence``; it is computed anew when needed."""
+        self.__dict__.pop("incidence", None)
+
     def kept(self, name: str, made: Callable[[], Kept]) -> Kept:
         """The result of ``made``, cached by ``name`` if the mesh is small.
 

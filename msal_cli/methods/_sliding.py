@@ -137,4 +137,6 @@ def _even_out(mesh: Mesh, passes: int) -> Mesh:
         positions = umbrellas.even_out(
             positions, normals, *links.one_ring, free, EVEN_STEP, EVEN_REACH * edge
         )
+    # Methods run on the result, whose normals are others.
+    mesh.release_normals()
     return mesh.with_vertices(positions)
