@@ -168,11 +168,8 @@ def _build_mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, 
     if to == "obj" and colours is not None and (colours[:, 3:] < 255).any():
         losses.append("alpha of the vertex colours")
     faces = mesh_file.faces
-    sizes = np.full(len(faces), 3, dtype=np.int64)
-    polygons: tuple[Longs | Ints, Longs] = faces.reshape(-1), sizes
-    if mesh_file.n_polygons != len(faces) and to in ("ply", "obj"):
-        polygons = mesh_file.polygons()
-    elif mesh_file.n_polygons != len(faces):
+    polygons = mesh_file.polygons()
+    if (polygons[1] > 3).any() and to not in ("ply", "obj", "off"):
         losses.append("polygons (triangulated)")
     if to == "stl":
         from msal_cli.kernels.welding import used_vertices
@@ -221,8 +218,10 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     if to == "obj":
         return _as_obj(mesh, points, single)
     if to == "off":
-        head = f"OFF\n{len(points)} {len(mesh.faces)} 0\n".encode()
-        lines = float_lines(points, single=single), integer_lines(*mesh.polygons, b"3 ")
+        corners, sizes = mesh.polygons
+        head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
+        rows = np.insert(corners, np.cumsum(sizes) - sizes, sizes)
+        lines = float_lines(points, single=single), integer_lines(rows, sizes + 1)
         return b"".join([head, *lines])
     writers = {"3mf": threemf.to_3mf, "vtp": vtk_xml.to_vtp}
     if to in writers:
