@@ -10,11 +10,12 @@ import logging
 
 from msal_cli.api.denoise import (
     DenoiseResult as DenoiseResult,
+    MethodInfo as MethodInfo,
     denoise as denoise,
     denoise_file as denoise_file,
     denoise_folder as denoise_folder,
+    list_methods as list_methods,
 )
-from msal_cli.api.method_list import MethodInfo as MethodInfo, list_methods as list_methods
 from msal_cli.api.measure import (
     add_noise as add_noise,
     compare as compare,

@@ -15,7 +15,7 @@ import trimesh
 import msal_cli as msal
 from msal_cli import api, errors, methods
 from msal_cli.analysis.added_noise import KINDS
-from msal_cli.api.method_list import MethodName, MethodParameters
+from msal_cli.api.denoise import MethodName, MethodParameters
 from msal_cli.job.settings import NoiseKind
 from tests.cli.scans import closed_scan, folder_of
 from tests.files import run_python
