@@ -59,17 +59,15 @@ def vertex_error_percent(reference: Mesh, other: Mesh) -> float:
 
 @dataclass(frozen=True)
 class SurfaceChange:
-    """Areas in squared file units, signed volumes in cubed ones, and angles between corresponding
-    face normals, over the faces that have a normal in both meshes.
+    """Areas and signed volumes before and after, in powers of file units, and angles between
+    corresponding face normals, over the faces that have a normal in both meshes.
 
     ``mean_angular_error_deg`` is what much of the literature calls MSAE; ``flipped_faces`` is the
     number of faces that turned by more than a right angle.
     """
 
-    area_before: float
-    area_after: float
-    volume_before: float
-    volume_after: float
+    areas: tuple[float, float]
+    volumes: tuple[float, float]
     mean_angular_error_deg: float
     max_angular_error_deg: float
     flipped_faces: int
@@ -77,13 +75,13 @@ class SurfaceChange:
 
 def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
-    figures = geometry.surface_figures(before.vertices, after.vertices, before.faces)
+    figures = geometry.surface_figures(before.vertices, after.vertices, before.faces).tolist()
     angle = figures[geometry.ANGLES] / max(figures[geometry.COMPARED], 1.0)
+    areas = figures[geometry.DOUBLED_AREA_BEFORE], figures[geometry.DOUBLED_AREA_AFTER]
+    volumes = figures[geometry.SIXFOLD_VOLUME_BEFORE], figures[geometry.SIXFOLD_VOLUME_AFTER]
     return SurfaceChange(
-        area_before=float(figures[geometry.DOUBLED_AREA_BEFORE] / 2.0),
-        area_after=float(figures[geometry.DOUBLED_AREA_AFTER] / 2.0),
-        volume_before=float(figures[geometry.SIXFOLD_VOLUME_BEFORE] / 6.0),
-        volume_after=float(figures[geometry.SIXFOLD_VOLUME_AFTER] / 6.0),
+        areas=(areas[0] / 2.0, areas[1] / 2.0),
+        volumes=(volumes[0] / 6.0, volumes[1] / 6.0),
         mean_angular_error_deg=float(np.degrees(angle)),
         max_angular_error_deg=float(np.degrees(figures[geometry.LARGEST_ANGLE])),
         flipped_faces=int(figures[geometry.FLIPPED]),
@@ -330,11 +328,8 @@ class Enclosure:
 
     def change(self, before: Mesh, after: Mesh, change: SurfaceChange) -> SurfaceChange:
         """``change`` with enclosed volumes in place of signed ones."""
-        return replace(
-            change,
-            volume_before=self.volume(before, change.volume_before),
-            volume_after=self.volume(after, change.volume_after),
-        )
+        first, last = change.volumes
+        return replace(change, volumes=(self.volume(before, first), self.volume(after, last)))
 
     def outward_signs(self, mesh: Mesh) -> Floats:
         """For each vertex 1 if its normal points outwards, -1 if inwards, (n,)."""
@@ -490,7 +485,7 @@ def _flipped_area(before: Mesh, after: Mesh) -> float:
 def _volume_share(change: SurfaceChange, has_volume: bool) -> float | None:
     if not has_volume:
         return None
-    return relative_volume_change(change.volume_before, change.volume_after, change.area_before)
+    return relative_volume_change(*change.volumes, change.areas[0])
 
 
 def excessive_change(
@@ -516,13 +511,13 @@ def excessive_change(
     words = f"noise of {noise:.2g} e explains"
     share = _volume_share(change, has_volume)
     if share is not None:
-        layer = noise * before.mean_edge_length * change.area_before / abs(change.volume_before)
+        layer = noise * before.mean_edge_length * change.areas[0] / abs(change.volumes[0])
         bound = leeway * (MIN_VOLUME + VOLUME_PER_NOISE * layer)
         if abs(share) > bound:
             percent = f"{100.0 * share:+.1f} %, {words} {100.0 * bound:.1f} %"
             return Harm(VOLUME, f"the volume changed by {percent}")
-    if change.area_before > 0.0:
-        share = change.area_after / change.area_before - 1.0
+    if change.areas[0] > 0.0:
+        share = change.areas[1] / change.areas[0] - 1.0
         explained = AREA_PER_NOISE * noise * noise
         if -share > leeway * (MIN_AREA + explained):
             explained = max(explained, AREA_EXPLAINED * explained_area(before, noise))

@@ -109,18 +109,20 @@ def distance_fields(statistics: DistanceStatistics, edge: float) -> dict[str, fl
     return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
-def volume_changed(before: float, after: float, area: float, objection: str) -> records.Volume:
-    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` the reason
-    why the volume is not valid, empty if it is."""
+def size_fields(
+    areas: tuple[float, float], volumes: tuple[float, float], objection: str
+) -> dict[str, Any]:
+    """Areas and enclosed volumes, before and after, as fields of the record; ``objection`` is the
+    reason why the volumes are not valid, empty if they are."""
     from msal_cli.analysis.measures import relative_volume_change
 
-    share = relative_volume_change(before, after, area)
+    share = relative_volume_change(*volumes, areas[0])
     percent = None if share is None else 100.0 * share
-    return records.Volume(before, after, after - before, percent, not objection, objection)
-
-
-def area_changed(before: float, after: float) -> records.Area:
-    return records.Area(before, after, 100.0 * (after - before) / before if before else None)
+    change, growth = volumes[1] - volumes[0], areas[1] - areas[0]
+    return {
+        "volume": records.Volume(*volumes, change, percent, not objection, objection),
+        "area": records.Area(*areas, 100.0 * growth / areas[0] if areas[0] else None),
+    }
 
 
 def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool = True) -> Measured:
@@ -136,9 +138,7 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
     statistics = measures.displacement(before, after)
     surface = measures.measure_surface_change(before, after)
     objection = ready.defects.volume_objection
-    enclosed = measures.enclosure_of(
-        before, ready.defects, surface.area_before, surface.volume_before
-    )
+    enclosed = measures.enclosure_of(before, ready.defects, surface.areas[0], surface.volumes[0])
     surface = enclosed.change(before, after, surface)
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
     known = noise_field(given)
@@ -171,10 +171,7 @@ def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool =
         "flipped_faces": surface.flipped_faces,
         "noise_estimate": known,
         "inside_out": enclosed.is_inside_out,
-        "volume": volume_changed(
-            surface.volume_before, surface.volume_after, surface.area_before, objection
-        ),
-        "area": area_changed(surface.area_before, surface.area_after),
+        **size_fields(surface.areas, surface.volumes, objection),
     }
     return Measured(fields, tuple(warnings), harm)
 

@@ -250,15 +250,13 @@ def _add_changes(
     objection = defects.volume_objection
     if isinstance(other, PreparedMesh):
         after, defects_after = other.mesh, other.defects
-        area_before, volume_before = measures.area_and_volume(before)
-        area_after, volume_after = measures.area_and_volume(after)
+        areas, volumes = zip(*map(measures.area_and_volume, (before, after)), strict=True)
         reasons = {"before": objection, "after": defects_after.volume_objection}
         objection = "; ".join(f"{word}: {reason}" for word, reason in reasons.items() if reason)
     else:
         after, defects_after = other, defects
         change = measures.measure_surface_change(before, after)
-        area_before, volume_before = change.area_before, change.volume_before
-        area_after, volume_after = change.area_after, change.volume_after
+        areas, volumes = change.areas, change.volumes
         distances = measures.displacement(before, after)
         figures |= {
             "mean_angular_error_deg": change.mean_angular_error_deg,
@@ -267,25 +265,18 @@ def _add_changes(
             "vertex_error_percent": 100.0 * distances.mean / before.mean_edge_length,
             "displacement": changes.displacement_field(distances, before.mean_edge_length),
         }
-    enclosed = measures.enclosure_of(before, defects, area_before, volume_before)
-    enclosed_after = measures.enclosure_of(after, defects_after, area_after, volume_after)
+    enclosed = measures.enclosure_of(before, defects, areas[0], volumes[0])
+    enclosed_after = measures.enclosure_of(after, defects_after, areas[1], volumes[1])
     # With other faces, the outside may be on the other side.
     of_after = enclosed_after if isinstance(other, PreparedMesh) else enclosed
-    volume = changes.volume_changed(
-        enclosed.volume(before, volume_before),
-        of_after.volume(after, volume_after),
-        area_before,
-        objection,
-    )
-    area = changes.area_changed(area_before, area_after)
+    volumes = enclosed.volume(before, volumes[0]), of_after.volume(after, volumes[1])
+    sizes = changes.size_fields(areas, volumes, objection)
     figures |= {
         "correspondence": "surface" if isinstance(other, PreparedMesh) else "vertices",
         "inside_out_before": enclosed.is_inside_out,
         "inside_out_after": enclosed_after.is_inside_out,
-        "volume": volume,
-        "area": area,
-        "volume_change_percent": volume.change_percent,
-        "area_change_percent": area.change_percent,
+        **sizes,
+        **{f"{name}_change_percent": size.change_percent for name, size in sizes.items()},
     }
     both = {"before": enclosed, "after": enclosed_after}
     return [f"{word}: {each.words}" for word, each in both.items() if each.is_inside_out]

@@ -14,7 +14,7 @@ import numpy as np
 from msal_cli.analysis import measures
 from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.job.changes import volume_changed
+from msal_cli.job.changes import size_fields
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.room import prepare_mesh
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
@@ -173,12 +173,7 @@ def _measure(
     source = on.name if not on.name.startswith("-") else f"./{on.name}"
     change = on.enclosed.change(mesh, moved, measures.measure_surface_change(mesh, moved))
     mean = measures.displacement(mesh, moved).mean
-    volume = volume_changed(
-        change.volume_before,
-        change.volume_after,
-        change.area_before,
-        on.ready.defects.volume_objection,
-    )
+    sizes = size_fields(change.areas, change.volumes, on.ready.defects.volume_objection)
     error = None
     if on.reference is not None:
         error = measures.measure_surface_change(on.reference, moved).mean_angular_error_deg
@@ -187,7 +182,7 @@ def _measure(
         command=shlex.join(("msal", "denoise", source, "-o", "OUT", *options)),
         mean_displacement=mean,
         mean_displacement_edges=mean / mesh.mean_edge_length,
-        volume_change_percent=volume.change_percent,
+        volume_change_percent=sizes["volume"].change_percent,
         mean_angular_error_deg=error,
     )
 
