@@ -14,7 +14,6 @@ import pytest
 from benchmarks.hostile_headers import MOST_BYTES, MOST_SECONDS, lies, refused
 from msal_cli import codecs
 from msal_cli.codecs import detection
-from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
 from tests.codecs import test_gltf, test_obj, test_off, test_ply, test_stl, test_threemf, test_vtk
@@ -90,7 +89,7 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
 
 
 def meshes_in(folder: Path) -> list[Path]:
-    paths = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
+    paths = (path for path in sorted(folder.rglob("*")) if detection.format_of_name(path.name))
     return [path for path in paths if detection.format_of_name(path.name) in detection.OWN_FORMATS]
 
 

@@ -13,9 +13,8 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from msal_cli.codecs.detection import READABLE
+from msal_cli.codecs.detection import READABLE, format_of_name
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
-from msal_cli.job.settings import is_mesh_name
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_manifest, is_own
@@ -67,7 +66,7 @@ class _Selection:
         if not self._matches(relative):
             return False
         is_named = self._takes_any_name and _match(self._parts, relative.split("/"))
-        return is_named or is_mesh_name(relative.rpartition("/")[2])
+        return is_named or format_of_name(relative) != ""
 
     def may_lie_below(self, relative: str) -> bool:
         """Whether files below this folder may be selected."""
@@ -175,9 +174,9 @@ def find_type(text: str) -> tuple[str, ObjectMark | None]:
     if not path.strip("/"):
         raise UsageError(f"{text!r} names no bucket or folder", path=text)
     other = "pattern" if has_magic(path) else "folder"
-    may_be_object = not text.endswith("/") and (other == "pattern" or is_mesh_name(urls.name(text)))
+    is_mesh = other == "pattern" or format_of_name(urls.name(text)) != ""
     try:
-        mark = objects.mark(text) if may_be_object else None
+        mark = objects.mark(text) if is_mesh and not text.endswith("/") else None
     except InputError:
         return "file" if other == "folder" else other, None
     return (other, None) if mark is None else ("file", mark)

@@ -10,14 +10,9 @@ from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
 from msal_cli.batch.lock import Shard
+from msal_cli.codecs.detection import format_of_name, output_name, refuse_unknown_format
 from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.job.settings import (
-    DEFAULT_BACKUP,
-    Task,
-    is_mesh_name,
-    output_name,
-    refuse_unknown_format,
-)
+from msal_cli.job.settings import DEFAULT_BACKUP, Task
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
@@ -150,7 +145,7 @@ def _check_in_place(
     if backup is not None:
         if not isinstance(backup, str) or not backup or {"/", os.sep, "\0"} & {*backup}:
             raise UsageError(f"{backup!r} cannot be the suffix of a backup")
-        if is_mesh_name("a.ply" + backup):
+        if format_of_name("a.ply" + backup):
             raise UsageError(
                 f"backups named *{backup} would be inputs of the next run",
                 hint=f"take a suffix that is no mesh format, such as {DEFAULT_BACKUP}",
@@ -189,8 +184,8 @@ def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
         return False
     if len(found) == 1 and not found[0].root:
         refuse_unknown_format(output)
-        return is_mesh_name(output) or (not is_url(output) and os.path.lexists(output))
-    if is_mesh_name(output):
+        return format_of_name(output) != "" or (not is_url(output) and os.path.lexists(output))
+    if format_of_name(output):
         raise UsageError(
             f"the output {output!r} is called like one mesh file, and a folder or several files "
             "are the input",

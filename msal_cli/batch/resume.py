@@ -19,9 +19,10 @@ from msal_cli.batch import manifest as manifests
 from msal_cli.batch.lock import Shard, refuse_locked
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
+from msal_cli.codecs.detection import format_of_name
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, Run, from_data
-from msal_cli.job.settings import SELF_INTERSECTIONS, Settings, Task, suffix
+from msal_cli.job.settings import SELF_INTERSECTIONS, Settings, Task
 from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
@@ -196,7 +197,7 @@ class _FreshnessCheck:
         return replace(failed, input=task.input, output=None, remembered=True)
 
     def _is_same_input(self, task: Task, entry: ManifestEntry) -> bool:
-        if suffix(task.input) == ".gltf":
+        if format_of_name(task.input) == "gltf":
             return False  # its mesh may be in another file, of which the manifest knows nothing
         return self._is_same(
             task.input, entry.input_version, entry.input_sha256, now=task.input_mark
@@ -253,7 +254,7 @@ class Journal:
     def __init__(self, plan: Plan, settings: Settings, cores: int) -> None:
         self._plan, self._settings, self._cores = plan, settings, cores
         members = [task.relative for task in plan.tasks] if plan.is_set else []
-        if not any(suffix(task.input) == ".3mf" for task in plan.tasks):
+        if not any(format_of_name(task.input) == "3mf" for task in plan.tasks):
             settings = replace(settings, unit=None)  # only 3MF files have one to compare it with
         self._hash = hash_settings(settings, members)
         # A record with more counts than are wanted will do.

@@ -18,6 +18,7 @@ from msal_cli.analysis.shared_borders import Border, SharedBorders
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.batch.schedule import OnEvent, Progress
 from msal_cli.batch.workers import limited_memory
+from msal_cli.codecs.detection import format_of_name
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
@@ -25,16 +26,7 @@ from msal_cli.job import changes, output
 from msal_cli.job.pipeline import FileRun, OnProgress, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
 from msal_cli.job.room import Scratch, find_scratch, open_mesh, to_known_error, use_scratch
-from msal_cli.job.settings import (
-    AXES,
-    NO_LIMITS,
-    Limits,
-    Settings,
-    Task,
-    forecast,
-    is_mesh_name,
-    parse_lock,
-)
+from msal_cli.job.settings import AXES, NO_LIMITS, Limits, Settings, Task, forecast, parse_lock
 from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import memory_bytes
 
@@ -377,7 +369,7 @@ def _read_points(
     """The border points (k, 3) of a file as stored in its output (NaN where they cannot be read),
     and whether that has single precision."""
     unknown = np.full_like(border.positions, np.nan)
-    format = None if is_mesh_name(output_path) else mesh_file.format
+    format = None if format_of_name(output_path) else mesh_file.format
     try:
         stored = open_mesh(made.data, output_path, format)
     except MsalError:

@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import AXES, METRES, SELF_INTERSECTIONS, is_mesh_name, parse_input_format
+from msal_cli.job.settings import AXES, METRES, SELF_INTERSECTIONS, parse_input_format
 from msal_cli.storage import urls
 
 STREAM = "-"  # the name of standard input and standard output
@@ -405,6 +405,8 @@ def find_given(context: click.Context) -> dict[str, str]:
 def find_overruled(context: click.Context) -> set[str]:
     """The parameters with values from a configuration file that contradict the command line, or
     need an option that is not given: the command line wins."""
+    from msal_cli.codecs.detection import format_of_name
+
     given = find_given(context)
     from_file = {
         name
@@ -423,7 +425,7 @@ def find_overruled(context: click.Context) -> set[str]:
     }
     left = given.keys() - overruled
     overruled |= {first for first, other, *_ in _NEEDS if first in from_file and other not in left}
-    if "output" in by_hand and output and is_mesh_name(output) and not os.path.isdir(output):
+    if "output" in by_hand and output and format_of_name(output) and not os.path.isdir(output):
         # The suffix of the output decides.
         overruled |= from_file & {"to"}
     return {_PARAMETERS.get(name, name) for name in overruled}

@@ -21,7 +21,7 @@ from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.output import write_output
-from msal_cli.job.settings import DEFAULT_BACKUP, is_mesh_name
+from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.regular import LOOKED_AT, open_regular
@@ -163,7 +163,7 @@ def refuse_target(
     of a folder, a device or a pipe, or one of ``taken``; and if another mesh is there.
     """
     from msal_cli.batch.plan import identify
-    from msal_cli.codecs.detection import content_format
+    from msal_cli.codecs.detection import content_format, format_of_name
 
     is_remote = is_url(name)
     for path in (name,) if is_remote else (name, os.path.realpath(name)):
@@ -172,7 +172,7 @@ def refuse_target(
             raise UsageError(
                 f"{what} {name!r} would have the name of a file of msal's own", hint=_ANOTHER
             )
-        if replaces is None and is_mesh_name(path):
+        if replaces is None and format_of_name(path):
             raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
     here = identify(name)
     for path in taken:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
+from msal_cli.codecs.detection import format_of_name, output_name, refuse_unknown_format
 from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
 from msal_cli.job.output import write_output
-from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format, suffix
+from msal_cli.job.settings import Task
 from msal_cli.storage.regular import LARGE_BYTES, largest_bytes
 from msal_cli.storage.urls import is_url
 
@@ -59,13 +60,13 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Task:
 
 def choose_format(target: str, to: str | None) -> str | None:
     """The format to convert to: that of ``--to``, else that of the output's suffix, if any."""
-    if target == STREAM or not is_mesh_name(target):
+    if not (named := format_of_name(target)):
         return to
     if to is not None and output_name(target, to).lower() != target.lower():
         raise UsageError(
             f"--to {to} and the output {target!r} say two formats", hint="give one of them"
         )
-    return suffix(target).lstrip(".")
+    return named
 
 
 def read_stream() -> Buffer:

@@ -20,9 +20,9 @@ from msal_cli.batch.manifest import FileStat, Manifest
 from msal_cli.cli import console, denoise
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import PATH, STREAM, group
+from msal_cli.codecs.detection import output_name
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.job.settings import output_name
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage.urls import is_url
 

@@ -1,10 +1,12 @@
-"""Detect the format of a file by its name and by its first bytes."""
+"""Formats of files: by their names, and by their first bytes; and the names of outputs."""
 
+import os
 import re
 
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, cut_short
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, UsageError, cut_short
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import LOOKED_AT, Buffer
+from msal_cli.storage.urls import is_url, split
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
@@ -61,11 +63,50 @@ _BEGINNINGS = (
 )
 
 
+# Names
+
+
+def suffix(name: str) -> str:
+    """The last suffix in lower case with its dot, without a final ``.gz``; empty if none."""
+    base = os.path.basename(name).lower()
+    return os.path.splitext(base.removesuffix(".gz"))[1]
+
+
 def format_of_name(name: str) -> str:
-    """The format of a file name, without ``.gz``; empty if it is not known."""
-    stem = name[: -len(".gz")] if is_gzip_name(name) else name
-    suffix = re.search(r"\.([^./\\]*)$", stem)
-    return suffix[1].lower() if suffix and suffix[1].lower() in READABLE else ""
+    """The format of a file name, without ``.gz``; empty if it is that of no mesh."""
+    ending = suffix(name)[1:]
+    return ending if ending in READABLE else ""
+
+
+def output_name(name: str, to: str | None) -> str:
+    """The name of the output for an input's name: another suffix for ``to``; ``.gz`` is kept."""
+    if to is None:
+        return name
+    packed = name[-3:] if is_gzip_name(name) else ""
+    stem = name[: len(name) - len(packed)]
+    return stem[: len(stem) - len(suffix(name))] + "." + to.lower().lstrip(".") + packed
+
+
+def refuse_unknown_format(output: str) -> None:
+    """Raise UsageError for an output file whose suffix is that of no format that can be written.
+
+    A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
+    """
+    # A bucket may have a dot in its name.
+    name = os.path.basename(split(output)[1].partition("/")[2] if is_url(output) else output)
+    ending = suffix(name) or os.path.splitext(name)[1]
+    if len(ending) < 2 or format_of_name(name):
+        return
+    from msal_cli.codecs.conversion import WRITABLE
+
+    raise UsageError(
+        f"the output {output!r}: {ending!r} is the suffix of no mesh format; "
+        f"those that can be written are {', '.join(WRITABLE)}",
+        hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
+    )
+
+
+# Content
 
 
 def content_format(data: Buffer, expected: str = "", size: int | None = None) -> str:

@@ -13,7 +13,7 @@ from msal_cli import codecs
 from msal_cli.codecs import detection
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError, UnsupportedError
 from msal_cli.job.room import open_mesh, prepare_mesh
-from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
+from msal_cli.job.settings import Settings, Task
 from msal_cli.light_dataclass import dataclass
 from msal_cli.storage import atomic, gzip_streams
 from msal_cli.storage.urls import ObjectMark, is_url
@@ -100,7 +100,7 @@ def _format_of_output(
     mesh_file: MeshFile, settings: Settings, path: str | None
 ) -> tuple[str, str, str]:
     """Format (``--to``, else by the output's name, else the input's), encoding and precision."""
-    named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
+    named = detection.format_of_name(path or "") or mesh_file.format
     target = (settings.to or named).lower().lstrip(".")
     return target, settings.encoding, settings.precision
 

@@ -1,19 +1,17 @@
-"""Settings and limits of one file, how users write them, and what is known of a file before it is
-read: names and forecasts."""
+"""Settings and limits of one file, how users write them, and forecasts of what a file needs."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import operator
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from msal_cli.errors import UsageError
 from msal_cli.light_dataclass import dataclass, field
-from msal_cli.storage.urls import ObjectMark, is_url, split
+from msal_cli.storage.urls import ObjectMark
 
 if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast
@@ -324,6 +322,12 @@ def parse_input_format(value: str, label: str = "--format", unit: str | None = N
     return parse_format(value, label, READABLE)
 
 
+def _output_format(value: str, label: str, unit: str | None) -> str:
+    from msal_cli.codecs.conversion import WRITABLE
+
+    return parse_format(value, label, WRITABLE)
+
+
 _CHECKS: dict[str, Check | None] = {
     "keep": _word_of(Keep),
     "strength": _strength,
@@ -335,7 +339,7 @@ _CHECKS: dict[str, Check | None] = {
     ),
     "despike": None,
     "min_noise": lambda value, *more: NEGLIGIBLE if value == NEGLIGIBLE else _length(value, *more),
-    "to": lambda value, label, unit: parse_format(value, label, writable_formats()),
+    "to": _output_format,
     "encoding": _word_of(Encoding),
     "precision": _word_of(Precision),
     "strict": None,
@@ -473,62 +477,16 @@ def to_texts(texts: Any, label: str) -> tuple[str, ...]:
     return listed
 
 
-# Names and forecasts
-
-
-def is_mesh_name(name: str) -> bool:
-    """Whether the suffix, without a final ``.gz``, is that of a format that can be read."""
-    from msal_cli.codecs.detection import READABLE
-
-    return suffix(name)[1:] in READABLE
-
-
-def writable_formats() -> tuple[str, ...]:
-    """The formats that ``--to`` accepts."""
-    from msal_cli.codecs.conversion import WRITABLE
-
-    return WRITABLE
-
-
-def output_name(name: str, to: str | None) -> str:
-    """The name of the output for an input's name: another suffix for ``to``; ``.gz`` is kept."""
-    if to is None:
-        return name
-    packed = name[-3:] if name.lower().endswith(".gz") else ""
-    stem = name[: len(name) - len(packed)]
-    return stem[: len(stem) - len(suffix(name))] + "." + to.lower().lstrip(".") + packed
-
-
-def suffix(name: str) -> str:
-    """The last suffix in lower case with its dot, without a final ``.gz``; empty if none."""
-    base = os.path.basename(name).lower()
-    return os.path.splitext(base.removesuffix(".gz"))[1]
-
-
-def refuse_unknown_format(output: str) -> None:
-    """Raise UsageError for an output file whose suffix is that of no format that can be written.
-
-    A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
-    """
-    # A bucket may have a dot in its name.
-    name = os.path.basename(split(output)[1].partition("/")[2] if is_url(output) else output)
-    ending = suffix(name) or os.path.splitext(name)[1]
-    if len(ending) < 2 or is_mesh_name(name):
-        return
-    raise UsageError(
-        f"the output {output!r}: {ending!r} is the suffix of no mesh format; "
-        f"those that can be written are {', '.join(writable_formats())}",
-        hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
-    )
+# Forecasts
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:
     """Forecast what a file needs, by its size and its first bytes; never raises for a bad file."""
     from msal_cli.codecs import header
+    from msal_cli.codecs.detection import format_of_name
 
-    named = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
-    to = settings.to or named
-    is_same = to in (None, suffix(task.input).lstrip("."))
+    to = settings.to or format_of_name(task.output) or None
+    is_same = to in (None, format_of_name(task.input))
     if is_same and settings.encoding == "same" and settings.precision == "same":
         to = None
     expected = header.forecast(

@@ -13,9 +13,10 @@ import pytest
 from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import header
+from msal_cli.codecs.detection import format_of_name, output_name
 from msal_cli.job import comparison, output, pipeline
 from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
+from msal_cli.job.settings import Limits, Settings, Task
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
 from tests.codecs import plain_obj, plain_stl
@@ -234,9 +235,9 @@ def test_inspection(scan):
 )
 def test_output_names(name, to, expected):
     assert output_name(name, to) == expected
-    assert is_mesh_name("a.PLY") and is_mesh_name("a.stl.gz") and is_mesh_name("a.off")
+    assert [*map(format_of_name, ("a.PLY", "a.stl.gz", "a.off"))] == ["ply", "stl", "off"]
     for name in ("a.txt", "a", ".ply", "a.gz"):
-        assert not is_mesh_name(name)
+        assert format_of_name(name) == ""
 
 
 class TestLimits:
