@@ -20,7 +20,8 @@ import numpy as np
 
 from msal_cli import codecs, methods
 from msal_cli.codecs import conversion
-from msal_cli.job.settings import AUTO, Settings, Task, forecast
+from msal_cli.job.room import forecast
+from msal_cli.job.settings import AUTO, Settings, Task
 from msal_cli.storage import gzip_streams
 
 _CHILD = """

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
 from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, method_bytes_per_face
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import available_bytes
 
@@ -221,7 +221,7 @@ def estimate_memory(
     largest_light = 0
     # Small files are not looked into.  Most formats need less than 14 bytes per byte, and have more
     # than 24 bytes per face.
-    per_byte = 14.0 + method_bytes_per_face(settings) / 24.0
+    per_byte = 14.0 + room.method_bytes_per_face(settings) / 24.0
     for index, task in tasks.items():
         if (size := room.input_bytes(task)) is None:
             # The file cannot be read, which its reader will report.
@@ -229,7 +229,7 @@ def estimate_memory(
         if size < room.LARGE_BYTES:
             largest_light = max(largest_light, size)
         else:
-            large[index] = limited(forecast(task, settings).memory_bytes or 0)
+            large[index] = limited(room.forecast(task, settings).memory_bytes or 0)
     light = limited(BASE_BYTES + int(per_byte * largest_light))
     available = available_bytes()
     # The rest is for what the forecasts miss, and for other programs.

@@ -22,11 +22,10 @@ from msal_cli.codecs.detection import format_of_name
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
-from msal_cli.job import changes, output
+from msal_cli.job import changes, output, room
 from msal_cli.job.pipeline import FileRun, OnProgress, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
-from msal_cli.job.room import Scratch, find_scratch, open_mesh, to_known_error, use_scratch
-from msal_cli.job.settings import AXES, NO_LIMITS, Limits, Settings, Task, forecast, parse_lock
+from msal_cli.job.settings import AXES, NO_LIMITS, Limits, Settings, Task, parse_lock
 from msal_cli.light_dataclass import dataclass
 from msal_cli.machine import memory_bytes
 
@@ -58,7 +57,7 @@ class JoinedMesh(Surface):
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     """Bytes of memory that denoising these files as one will need, by forecast."""
-    needs = [forecast(task, settings).memory_bytes or BASE_BYTES for task in tasks]
+    needs = [room.forecast(task, settings).memory_bytes or BASE_BYTES for task in tasks]
     return BASE_BYTES + sum(max(0, need - BASE_BYTES) for need in needs)
 
 
@@ -102,7 +101,7 @@ class SetRun:
         if limit is not None:  # the memory that this process had before does not count
             limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
-            with limited_memory(limit), use_scratch(self._find_scratch()):
+            with limited_memory(limit), room.use_scratch(self._find_scratch()):
                 for index in range(len(self.tasks)):
                     self._scan(index)
                 has_given_up = max_failures is not None and len(self._records) >= max_failures
@@ -114,14 +113,14 @@ class SetRun:
             self._fail_rest(error)
         return self._records
 
-    def _find_scratch(self) -> Scratch | None:
+    def _find_scratch(self) -> room.Scratch | None:
         work = f"denoising these {len(self.tasks):,} files as one"
         needed = memory_of_set(self.tasks, self.settings)
-        return find_scratch(work, needed, self.limits, self.tasks[0].output)
+        return room.find_scratch(work, needed, self.limits, self.tasks[0].output)
 
     def _fail_rest(self, error: Exception) -> dict[int, MeshRecord]:
         """The set fails as a whole: every file without a failure of its own gets this one."""
-        failure = Failure.of(to_known_error(error, "the tile set"))
+        failure = Failure.of(room.to_known_error(error, "the tile set"))
         for index, task in enumerate(self.tasks):
             if index not in self._records:
                 self._records[index] = start_record(task.input, self.settings, error=failure)
@@ -371,7 +370,7 @@ def _read_points(
     unknown = np.full_like(border.positions, np.nan)
     format = None if format_of_name(output_path) else mesh_file.format
     try:
-        stored = open_mesh(made.data, output_path, format)
+        stored = room.open_mesh(made.data, output_path, format)
     except MsalError:
         return unknown, False
     has_same_vertices = (

@@ -37,7 +37,8 @@ from msal_cli.batch import schedule
 from msal_cli.batch.schedule import Failed, Message, Work
 from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.job.settings import FORECAST, Settings, Task
+from msal_cli.job.room import FORECAST
+from msal_cli.job.settings import Settings, Task
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
 

@@ -159,8 +159,7 @@ def command(request: Request) -> int:
 
 def _write_heatmap(request: Request) -> None:
     from msal_cli.job.comparison import build_heatmap
-    from msal_cli.job.room import room_for_files
-    from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE
+    from msal_cli.job.room import DISTANCES_BYTES_PER_FACE, room_for_files
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 

@@ -93,8 +93,7 @@ def command(request: Request) -> int:
     import shlex
 
     from msal_cli.cli.report_files import REPORT, refuse_target, require_files
-    from msal_cli.job.room import room_for_files
-    from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE
+    from msal_cli.job.room import DISTANCES_BYTES_PER_FACE, room_for_files
     from msal_cli.report.comparison import list_facts
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures

@@ -220,8 +220,8 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     if to == "off":
         corners, sizes = mesh.polygons
         head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
-        rows = np.insert(corners, np.cumsum(sizes) - sizes, sizes)
-        lines = float_lines(points, single=single), integer_lines(rows, sizes + 1)
+        items: Longs = np.insert(corners, np.cumsum(sizes) - sizes, sizes)
+        lines = float_lines(points, single=single), integer_lines(items, sizes + 1)
         return b"".join([head, *lines])
     writers = {"3mf": threemf.to_3mf, "vtp": vtk_xml.to_vtp}
     if to in writers:

@@ -17,7 +17,7 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs import header
 from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import MsalError
-from msal_cli.job import changes
+from msal_cli.job import changes, room
 from msal_cli.job.records import (
     WITH_OUTPUT,
     ComparisonRecord,
@@ -28,8 +28,6 @@ from msal_cli.job.records import (
     SelfIntersections,
     SurfaceDistance,
 )
-from msal_cli.job.room import check_unit, open_mesh, prepare_mesh, room_for_files, to_known_error
-from msal_cli.job.settings import DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.storage.gzip_streams import is_gzip
@@ -41,8 +39,8 @@ def open_mesh_file(path: str, format: str | None = None, unit: str | None = None
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read or states
     another ``unit``."""
     try:
-        mesh_file = open_mesh(header.read_input(path, format), path, format)
-        check_unit(mesh_file.unit, unit)
+        mesh_file = room.open_mesh(header.read_input(path, format), path, format)
+        room.check_unit(mesh_file.unit, unit)
         return mesh_file
     except MsalError as error:
         error.path = error.path or path
@@ -66,19 +64,19 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, which takes longest.
     """
     try:
-        extra = INTERSECTIONS_BYTES_PER_FACE if with_intersections else 0
+        extra = room.INTERSECTIONS_BYTES_PER_FACE if with_intersections else 0
         with ExitStack() as stack:
             if data is None:
-                stack.enter_context(room_for_files((path,), format, bytes_per_face=extra))
+                stack.enter_context(room.room_for_files((path,), format, bytes_per_face=extra))
             data = header.read_input(path, format) if data is None else data
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
-        return InfoRecord(input=path, error=Failure.of(to_known_error(error, path)))
+        return InfoRecord(input=path, error=Failure.of(room.to_known_error(error, path)))
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    mesh_file = open_mesh(data, name, format)
-    ready = prepare_mesh(mesh_file)
+    mesh_file = room.open_mesh(data, name, format)
+    ready = room.prepare_mesh(mesh_file)
     defects = ready.defects
     area, volume = measures.area_and_volume(ready.mesh)
     enclosed = measures.enclosure_of(ready.mesh, defects, area, volume)
@@ -128,7 +126,7 @@ def compare_files(
     try:
         return measure_files(before, after, format, **options)
     except Exception as error:
-        known = to_known_error(error, f"{before} and {after}")
+        known = room.to_known_error(error, f"{before} and {after}")
         sides: dict[str, Literal["before", "after"]] = {before: "before", after: "after"}
         side, failure = sides.get(known.path), Failure.of(known)
         return ComparisonRecord(before, after, version=__version__, at_fault=side, error=failure)
@@ -145,8 +143,9 @@ def measure_files(
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
-    extra = INTERSECTIONS_BYTES_PER_FACE if with_intersections else DISTANCES_BYTES_PER_FACE
-    with room_for_files((before, after), format, bytes_per_face=extra):
+    extra = room.DISTANCES_BYTES_PER_FACE
+    extra = room.INTERSECTIONS_BYTES_PER_FACE if with_intersections else extra
+    with room.room_for_files((before, after), format, bytes_per_face=extra):
         surfaces = surface_of(open_file(before, format)), surface_of(open_file(after, format))
         return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 
@@ -185,8 +184,8 @@ def compare_meshes(
 
     Raises ContentError if one of them cannot be computed with.
     """
-    first = prepare_mesh(before, before_name)
-    second = prepare_mesh(after, after_name)
+    first = room.prepare_mesh(before, before_name)
+    second = room.prepare_mesh(after, after_name)
     reference, edge = first.mesh, first.mesh.mean_edge_length
     figures: dict[str, Any] = {}
     if before.has_same_faces(after):
@@ -290,7 +289,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
     """
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
-    reference = prepare_mesh(before)
+    reference = room.prepare_mesh(before)
     return measures.nearest_on_surface(after.vertices - reference.origin, reference.mesh)[1]
 
 

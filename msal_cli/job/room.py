@@ -14,21 +14,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli import auto, codecs, machine
+from msal_cli import auto, codecs, machine, methods
 from msal_cli.codecs import header
-from msal_cli.codecs.detection import refuse_no_mesh
-from msal_cli.codecs.header import BASE_BYTES
+from msal_cli.codecs.detection import format_of_name, refuse_no_mesh
+from msal_cli.codecs.header import BASE_BYTES, Forecast
 from msal_cli.errors import InputError, InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job.records import Failure, MeshRecord, Planned
 from msal_cli.job.settings import (
     ADAPTIVE,
     AUTO,
-    FORECAST,
+    CHOOSING,
     NO_LIMITS,
+    SELF_INTERSECTIONS,
     Limits,
     Settings,
     Task,
-    forecast,
 )
 from msal_cli.kernels import array_files
 from msal_cli.light_dataclass import dataclass
@@ -58,6 +58,16 @@ _MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 
 # Memory for mapped pages: this part of a small mesh, this many bytes of others.
 _MAPPED_OF_SMALL, _MAPPED_BYTES = 0.3, 32_000_000
+
+_FIELDS_BYTES_PER_FACE = 64
+# A second set of positions stays until the output is built.
+_OUTLIERS_BYTES_PER_FACE = 12
+# Trees of boxes, with nine directions where faces that intersect are counted, filled up to a power
+# of two; measured: 262 per triangle of the larger of two surfaces, and 1,060.
+DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE = 270, 1100
+
+FORECAST = "forecast"
+"""The ``where`` of an ``E_MEMORY`` by forecast: trying again would not help."""
 
 
 @dataclass(frozen=True)
@@ -269,6 +279,39 @@ _BYTES_PER_VERTEX, _STL_BYTES = 75, 520
 
 _PACKED = 3
 """Compression ratio of a text."""
+
+
+def forecast(task: Task, settings: Settings) -> Forecast:
+    """Forecast what a file needs, by its size and its first bytes; never raises for a bad file."""
+    to = settings.to or format_of_name(task.output) or None
+    is_same = to in (None, format_of_name(task.input))
+    if is_same and settings.encoding == "same" and settings.precision == "same":
+        to = None
+    per_face = method_bytes_per_face(settings)
+    expected = header.forecast(
+        task.input, format=settings.format, to=to, method_bytes_per_face=per_face
+    )
+    if settings.method not in CHOOSING or expected.memory_bytes is None:
+        return expected
+    choosing = auto.BYTES if settings.method == AUTO else auto.FAMILY_BYTES
+    return replace(expected, memory_bytes=expected.memory_bytes + choosing)
+
+
+def method_bytes_per_face(settings: Settings) -> int:
+    """Bytes of memory per triangle that the settings need beyond those of any method."""
+    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    if settings.looks_for_outliers:
+        extra += _OUTLIERS_BYTES_PER_FACE
+    if SELF_INTERSECTIONS in settings.checks:
+        extra += INTERSECTIONS_BYTES_PER_FACE
+    if settings.method == AUTO:
+        return extra + max(methods.find(name).bytes_per_face for name in auto.METHODS)
+    name, parameters = settings.method, settings.parameters
+    if name == ADAPTIVE:
+        name, parameters = "al", auto.LARGEST_OF_FAMILY
+    if name not in methods.names():
+        return 0
+    return methods.find(name).bytes_per_face_of(parameters) + extra
 
 
 def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) -> MeshRecord:

@@ -1,4 +1,4 @@
-"""Settings and limits of one file, how users write them, and forecasts of what a file needs."""
+"""Settings, limits and paths of one file, and how users write them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.urls import ObjectMark
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.header import Forecast
     from msal_cli.methods import Method
 
 Keep = Literal["texture", "edges", "shape"]
@@ -94,16 +93,6 @@ class Limits:
 
 
 NO_LIMITS = Limits()
-
-_FIELDS_BYTES_PER_FACE = 64
-# A second set of positions stays until the output is built.
-_OUTLIERS_BYTES_PER_FACE = 12
-# Trees of boxes, with nine directions where faces that intersect are counted, filled up to a power
-# of two; measured: 262 per triangle of the larger of two surfaces, and 1,060.
-DISTANCES_BYTES_PER_FACE, INTERSECTIONS_BYTES_PER_FACE = 270, 1100
-
-FORECAST = "forecast"
-"""The ``where`` of an ``E_MEMORY`` by forecast: trying again would not help."""
 
 
 @dataclass(frozen=True)
@@ -475,48 +464,3 @@ def to_texts(texts: Any, label: str) -> tuple[str, ...]:
         if not isinstance(text, str):
             raise UsageError(f"{label}: {text!r} is not a text")
     return listed
-
-
-# Forecasts
-
-
-def forecast(task: Task, settings: Settings) -> Forecast:
-    """Forecast what a file needs, by its size and its first bytes; never raises for a bad file."""
-    from msal_cli.codecs import header
-    from msal_cli.codecs.detection import format_of_name
-
-    to = settings.to or format_of_name(task.output) or None
-    is_same = to in (None, format_of_name(task.input))
-    if is_same and settings.encoding == "same" and settings.precision == "same":
-        to = None
-    expected = header.forecast(
-        task.input,
-        format=settings.format,
-        to=to,
-        method_bytes_per_face=method_bytes_per_face(settings),
-    )
-    if settings.method not in CHOOSING or expected.memory_bytes is None:
-        return expected
-    from msal_cli import auto
-
-    choosing = auto.BYTES if settings.method == AUTO else auto.FAMILY_BYTES
-    return dataclasses.replace(expected, memory_bytes=expected.memory_bytes + choosing)
-
-
-def method_bytes_per_face(settings: Settings) -> int:
-    """Bytes of memory per triangle that the settings need beyond those of any method."""
-    from msal_cli import auto, methods
-
-    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
-    if settings.looks_for_outliers:
-        extra += _OUTLIERS_BYTES_PER_FACE
-    if SELF_INTERSECTIONS in settings.checks:
-        extra += INTERSECTIONS_BYTES_PER_FACE
-    if settings.method == AUTO:
-        return extra + max(methods.find(name).bytes_per_face for name in auto.METHODS)
-    name, parameters = settings.method, settings.parameters
-    if name == ADAPTIVE:
-        name, parameters = "al", auto.LARGEST_OF_FAMILY
-    if name not in methods.names():
-        return 0
-    return methods.find(name).bytes_per_face_of(parameters) + extra

@@ -14,17 +14,8 @@ from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files, inspect_file
 from msal_cli.job.pipeline import denoise_file, start_record
-from msal_cli.job.room import foresee
-from msal_cli.job.settings import (
-    ADAPTIVE,
-    AUTO,
-    FORECAST,
-    NO_LIMITS,
-    Limits,
-    Settings,
-    Task,
-    forecast,
-)
+from msal_cli.job.room import FORECAST, forecast, foresee
+from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Limits, Settings, Task
 from msal_cli.kernels import array_files, spatial_order
 from msal_cli.kernels.parallel import over_ranges
 from tests.batch.tile_files import cut, mixed, read

@@ -13,8 +13,8 @@ from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.header import BASE_BYTES, LOOKED_AT, forecast, of_beginning, read_input
 from msal_cli.errors import InputError, MsalError
+from msal_cli.job.room import forecast as forecast_task
 from msal_cli.job.settings import Settings, Task
-from msal_cli.job.settings import forecast as forecast_task
 from msal_cli.storage import gzip_streams
 from tests.codecs import plain_ply, plain_stl, test_gltf
 from tests.files import run_python, write_sparse

@@ -16,7 +16,8 @@ from msal_cli.job import choice as automatic
 from msal_cli.job import pipeline
 from msal_cli.job.changes import method_warnings
 from msal_cli.job.records import Displacement
-from msal_cli.job.settings import AUTO, Settings, Task, forecast, resolve_parameters
+from msal_cli.job.room import forecast
+from msal_cli.job.settings import AUTO, Settings, Task, resolve_parameters
 from msal_cli.mesh import Mesh
 from tests.cli.scans import msal, record_of, torus_scan
 from tests.report.golden import NOISE

@@ -10,7 +10,8 @@ from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import Settings, method_bytes_per_face
+from msal_cli.job.room import method_bytes_per_face
+from msal_cli.job.settings import Settings
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods._sliding import even_out
 from msal_cli.methods.blend import (
