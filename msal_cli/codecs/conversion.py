@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.colours import vertex_colours
-from msal_cli.codecs.detection import SCENES
+from msal_cli.codecs.detection import ENCODINGS, SCENES, WRITABLE
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_write import write_ply
 from msal_cli.codecs.slots import as_float32
@@ -28,22 +28,6 @@ _COLOUR_PROPERTIES = re.compile(
 )
 _DERIVED = ("facet normals",)
 """Properties that follow from the positions, so that they are not lost."""
-
-_ENCODINGS = {
-    "ply": ("binary", "ascii"),
-    "obj": ("ascii",),
-    "stl": ("binary", "ascii"),
-    "gltf": ("binary",),
-    "3mf": ("binary",),
-    "off": ("ascii",),
-    "vtp": ("binary",),
-    "vtk": ("binary", "ascii"),
-    "vtu": ("binary", "ascii"),
-    "glb": ("binary",),
-}
-"""Encodings of each format, the default one first."""
-
-WRITABLE = tuple(_ENCODINGS)  # formats that can be written, in the order of help
 
 _SINGLE = ("glb", "gltf", "stl")
 
@@ -90,7 +74,7 @@ def convert(
             return scene, ()
     if to not in WRITABLE:
         raise UnsupportedError(f"{to!r} cannot be written", hint=f"formats: {', '.join(WRITABLE)}")
-    encodings = _ENCODINGS[to]
+    encodings = ENCODINGS[to]
     encoding = encodings[0] if encoding == "same" else encoding
     if encoding not in encodings:
         raise UnsupportedError(
@@ -132,7 +116,7 @@ def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> b
     """Whether ``convert`` rounds positions to float32."""
     if encoding == "same":
         own = "ascii" if mesh_file.encoding == "ascii" else "binary"
-        encoding = own if to == mesh_file.format else _ENCODINGS.get(to, ("",))[0]
+        encoding = own if to == mesh_file.format else ENCODINGS.get(to, ("",))[0]
     wanted = mesh_file.precision if precision == "same" else precision
     return wanted == "float32" or (to in _SINGLE and encoding == "binary")
 

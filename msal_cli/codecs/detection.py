@@ -13,6 +13,22 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 READABLE = ("ply", "obj", "stl", "glb", "gltf", "3mf", "off", "vtk", "vtu", "vtp")
 """Suffixes of the formats that are read, in the order of help."""
 
+ENCODINGS = {
+    "ply": ("binary", "ascii"),
+    "obj": ("ascii",),
+    "stl": ("binary", "ascii"),
+    "gltf": ("binary",),
+    "3mf": ("binary",),
+    "off": ("ascii",),
+    "vtp": ("binary",),
+    "vtk": ("binary", "ascii"),
+    "vtu": ("binary", "ascii"),
+    "glb": ("binary",),
+}
+"""Encodings in which each format is written, the default one first."""
+
+WRITABLE = tuple(ENCODINGS)  # formats that can be written, in the order of help
+
 OWN_FORMATS = READABLE[:6]  # formats whose readers describe damaged content themselves
 
 _MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
@@ -97,8 +113,6 @@ def refuse_unknown_format(output: str) -> None:
     ending = suffix(name) or os.path.splitext(name)[1]
     if len(ending) < 2 or format_of_name(name):
         return
-    from msal_cli.codecs.conversion import WRITABLE
-
     raise UsageError(
         f"the output {output!r}: {ending!r} is the suffix of no mesh format; "
         f"those that can be written are {', '.join(WRITABLE)}",

@@ -312,7 +312,7 @@ def parse_input_format(value: str, label: str = "--format", unit: str | None = N
 
 
 def _output_format(value: str, label: str, unit: str | None) -> str:
-    from msal_cli.codecs.conversion import WRITABLE
+    from msal_cli.codecs.detection import WRITABLE
 
     return parse_format(value, label, WRITABLE)
 

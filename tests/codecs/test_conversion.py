@@ -8,7 +8,8 @@ import pytest
 import trimesh
 
 from msal_cli.codecs import open_mesh
-from msal_cli.codecs.conversion import WRITABLE, convert, stale_warnings
+from msal_cli.codecs.conversion import convert, stale_warnings
+from msal_cli.codecs.detection import WRITABLE
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.patching import polygons_of

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 
 from msal_cli.codecs import open_mesh
-from msal_cli.codecs.conversion import WRITABLE, convert
+from msal_cli.codecs.conversion import convert
+from msal_cli.codecs.detection import WRITABLE
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand, is_gzip
