@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from msal_cli.job.records import SCHEMA, ComparisonRecord, InfoRecord, MeshRecord, Run
-from msal_cli.report.data import Totals, json_bytes
+from msal_cli.report.data import json_bytes
+from msal_cli.report.facts import Totals
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NULL_NOTE = (

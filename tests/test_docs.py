@@ -19,7 +19,7 @@ from msal_cli.cli import command as commands
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.records import InfoRecord, Run
-from msal_cli.report.data import Totals
+from msal_cli.report.facts import Totals
 from tests.cli.scans import msal
 from tests.files import ROOT, load_script
 

@@ -189,7 +189,7 @@ def _conclude(
     """
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report import comparison, data
-    from msal_cli.report.facts import Line, file_name, gate_text
+    from msal_cli.report.facts import Line, file_name, gate_text, list_broken
     from msal_cli.report.gates import with_gates
 
     known = earlier or {}
@@ -231,7 +231,7 @@ def _conclude(
         console.say_lines(
             Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
             for record in records
-            for gate in data.list_broken(record)
+            for gate in list_broken(record)
         )
         for name in vanished:
             console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
@@ -240,7 +240,7 @@ def _conclude(
         if request.heatmap is not None and not failures:
             _write_heatmap(request)
     # A pair that cannot be compared outweighs a broken gate, which outweighs a missing partner.
-    is_gate_failed = any(map(data.list_broken, records)) or bool(vanished)
+    is_gate_failed = any(map(list_broken, records)) or bool(vanished)
     if is_gate_failed and len(failures) == len(records) - len(present) < len(records):
         return console.GATE_FAILED
     return console.status_of_files(len(records), len(failures))

@@ -388,7 +388,7 @@ class _Session:
     ) -> int:
         """Measure, print, write the reports, and return the exit status."""
         from msal_cli.job.records import Failure, MeshRecord, Run
-        from msal_cli.report import data
+        from msal_cli.report import facts
 
         request = self._request
         is_dry = request.dry_run
@@ -415,7 +415,7 @@ class _Session:
             from msal_cli.report.gates import with_gates
 
             records = with_gates(self._gates, records)
-            is_broken = any(map(data.list_broken, records))
+            is_broken = any(map(facts.list_broken, records))
         self._print(run, records)
         try:
             if is_dry and request.reports:
@@ -435,6 +435,8 @@ class _Session:
                 )
         finally:
             if request.as_json:
+                from msal_cli.report import data
+
                 console.put_bytes(data.render_json(run, records))
         n_failed = sum(record.status == "failed" for record in records)
         if n_left and not interrupted:

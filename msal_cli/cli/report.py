@@ -60,7 +60,7 @@ def command(request: Request) -> int:
     """
     from msal_cli.cli import report_files
     from msal_cli.job.records import MeshRecord
-    from msal_cli.report import data, text
+    from msal_cli.report import data, facts, text
     from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
 
     refuse_conflicts(find_given(request.context))
@@ -99,7 +99,7 @@ def command(request: Request) -> int:
     if not is_checked:
         return console.SUCCESS
     statuses = [record.status for record in records]
-    is_broken = any(map(data.list_broken, records))
+    is_broken = any(map(facts.list_broken, records))
     status = console.status_of_files(
         len(records), statuses.count("failed"), is_gate_failed=is_broken
     )

@@ -28,7 +28,7 @@ from xml.etree import ElementTree as Xml
 from msal_cli.job.display_names import escape_for_display, shorten_name
 from msal_cli.job.records import DONE, MeshRecord, Run
 from msal_cli.report import facts
-from msal_cli.report.data import list_broken, plain, totals
+from msal_cli.report.data import plain, setting_texts
 
 MAX_BYTES = 900_000
 """Bytes of the largest report: less than the 1 MiB that GitHub allows for a summary."""
@@ -52,7 +52,7 @@ _MARKUP = re.compile(
 
 def render_markdown(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8, in at most ``MAX_BYTES`` (or the size of the page without rows)."""
-    sums = totals(records)
+    sums = facts.totals(records)
     is_bad = sums.failed or sums.gate_broken
     sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
     top = f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n"
@@ -89,7 +89,7 @@ def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
     heads += [", ".join(filter(None, (figure.title.lower(), figure.unit))) for figure in figures]
     rows = []
     for record in done:
-        status: str = "**gate**" if list_broken(record) else record.status
+        status: str = "**gate**" if facts.list_broken(record) else record.status
         status += ", inside out" if record.inside_out else ""
         chosen = "" if record.choice is None else record.choice.reason
         cells = [figure.text(record) for figure in figures]
@@ -226,7 +226,7 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
     values = (
         ("msal.version", run.version),
         ("msal.command", shlex.join(run.command)),
-        *((f"msal.settings.{name}", text) for name, text in facts.setting_texts(run.settings)),
+        *((f"msal.settings.{name}", text) for name, text in setting_texts(run.settings)),
     )
     properties = (_element("property", name=name, value=value) for name, value in values)
     Xml.SubElement(suite, "properties").extend(properties)
@@ -254,7 +254,7 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         case.append(_element("error", type=record.error.code, message=message))
     elif why:
         # Ant's schema allows one failure in a case.
-        broken = "; ".join(map(facts.gate_values, list_broken(record)))
+        broken = "; ".join(map(facts.gate_values, facts.list_broken(record)))
         case.append(_element("failure", type="gate", message=broken))
     elif record.status == "planned":
         case.append(_element("skipped"))

@@ -1,4 +1,4 @@
-"""Reports for programs: the totals of a run, and records as JSON, JSON Lines and CSV.
+"""Reports for programs: records as JSON, JSON Lines and CSV.
 
 JSON is one document (schema ``msal.report/1``) with the run, totals and records; JSON Lines are
 the records alone, in the order of the inputs.  Both can be read back.
@@ -16,25 +16,13 @@ import functools
 import json
 import types
 import typing
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import figure, map_texts, portable, restore_name
-from msal_cli.job.records import (
-    DONE,
-    SCHEMA,
-    ComparisonRecord,
-    GateResult,
-    MeshRecord,
-    Run,
-    as_data,
-    from_data,
-    required,
-    value_at,
-)
-from msal_cli.light_dataclass import dataclass
+from msal_cli.job.records import SCHEMA, MeshRecord, Run, as_data, from_data
+from msal_cli.report import facts
 
 REPORT, BASELINE = "report of msal denoise", "baseline"
 _HINTS = {
@@ -63,78 +51,6 @@ COMMON_COLUMNS = (
 """The columns that people sort and filter by."""
 
 
-@dataclass(frozen=True)
-class Spread:
-    """The lowest, the median and the highest value of a figure over ``files`` files."""
-
-    files: int = required("files that the figure is over")
-    lowest: float = required("lowest value")
-    median: float = required("median")
-    highest: float = required("highest value")
-
-
-@dataclass(frozen=True)
-class Totals:
-    """Sums over the records of a run."""
-
-    files: int = required("records in this report")
-    written: int = required("files written with some vertex moved, or in another form")
-    unchanged: int = required("files written byte for byte as they were, because no vertex moved")
-    up_to_date: int = required("files whose output of an earlier run is current")
-    planned: int = required("files not dealt with: by a dry run, or because the run ended before")
-    failed: int = required("files that failed")
-    gate_broken: int = required("files written or up to date that break a gate")
-    chosen: Mapping[str, int] = required(
-        "files written, unchanged or up to date by the method that was chosen, the most "
-        "frequent first; empty where the method was given"
-    )
-    vertices: int = required("vertices of the files denoised in this run")
-    work_seconds: float = required("sum of the seconds of the files denoised in this run")
-    volume_change_percent: Spread | None = required(
-        "change of volume over the files whose volume is valid"
-    )
-
-
-def totals(records: Sequence[MeshRecord]) -> Totals:
-    import statistics
-
-    states = Counter(record.status for record in records)
-    fresh = [record for record in records if record.status in DONE]
-    changes = known_values(records, "volume.change_percent")
-    chosen = Counter(
-        record.method.name
-        for record in records
-        if record.choice is not None and record.method is not None and record.error is None
-    )
-    return Totals(
-        files=len(records),
-        written=states["written"],
-        unchanged=states["unchanged"],
-        up_to_date=states["up-to-date"],
-        planned=states["planned"],
-        failed=states["failed"],
-        gate_broken=sum(any(list_broken(record)) for record in records),
-        chosen=dict(sorted(chosen.items(), key=lambda item: (-item[1], item[0]))),
-        vertices=sum(record.vertices or 0 for record in fresh),
-        work_seconds=sum(known_values(fresh, "seconds.total")),
-        volume_change_percent=(
-            Spread(len(changes), min(changes), statistics.median(changes), max(changes))
-            if changes
-            else None
-        ),
-    )
-
-
-def known_values(records: Sequence[Any], path: str) -> list[Any]:
-    """The values of a field, by its dotted path, of the records that have one."""
-    values = (value_at(record, path) for record in records)
-    return [value for value in values if value is not None]
-
-
-def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
-    return [gate for gate in record.gates if gate.broken]
-
-
 # Plain data
 
 
@@ -161,13 +77,22 @@ def plain(value: Any) -> Any:
     raise TypeError(f"a report cannot hold {type(value).__name__}")
 
 
+def setting_texts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Settings by their dotted names, as text (``true``, ``false``); unset ones are left out."""
+    for name, value in flatten(plain(data)):
+        if value is not None and value not in ("", []):
+            items = value if isinstance(value, list) else [value]
+            texts = (item if isinstance(item, str) else json.dumps(item) for item in items)
+            yield name, ", ".join(texts)
+
+
 # JSON and JSON Lines
 
 
 def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8; the order of keys is fixed."""
     # Record by record: the plain data of ten thousand need several times the memory of the text.
-    head = {"schema": SCHEMA, **plain(run), "totals": plain(totals(records))}
+    head = {"schema": SCHEMA, **plain(run), "totals": plain(facts.totals(records))}
     empty = json_bytes({**head, "records": []})
     if not records:
         return empty

@@ -1,12 +1,12 @@
-"""Facts and figures of records; all reports for people are made of them.
+"""Facts and figures of records, and totals of a run; all reports for people are made of them.
 
 ``list_facts`` describes a file in words, ``FIGURES`` are the columns of tables, and ``worst_first``
 is the order in which files are listed.  The texts of ``list_facts`` are escaped for display; others
 are not: every writer escapes them for its format.
 """
 
-import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -14,6 +14,7 @@ from msal_cli.errors import MsalError, format_count
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import (
     DONE,
+    ComparisonRecord,
     Failure,
     GateResult,
     InfoRecord,
@@ -21,10 +22,10 @@ from msal_cli.job.records import (
     NoiseEstimate,
     Run,
     SelfIntersections,
+    required,
     value_at,
 )
 from msal_cli.light_dataclass import dataclass
-from msal_cli.report.data import Totals, flatten, known_values, list_broken, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]
 
@@ -53,6 +54,16 @@ class Line:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "text", escape_for_display(self.text))
+
+
+def known_values(records: Sequence[Any], path: str) -> list[Any]:
+    """The values of a field, by its dotted path, of the records that have one."""
+    values = (value_at(record, path) for record in records)
+    return [value for value in values if value is not None]
+
+
+def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
+    return [gate for gate in record.gates if gate.broken]
 
 
 # Facts of a file
@@ -307,6 +318,68 @@ def problem_texts(record: MeshRecord) -> list[str]:
 # Totals of a run
 
 
+@dataclass(frozen=True)
+class Spread:
+    """The lowest, the median and the highest value of a figure over ``files`` files."""
+
+    files: int = required("files that the figure is over")
+    lowest: float = required("lowest value")
+    median: float = required("median")
+    highest: float = required("highest value")
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over the records of a run."""
+
+    files: int = required("records in this report")
+    written: int = required("files written with some vertex moved, or in another form")
+    unchanged: int = required("files written byte for byte as they were, because no vertex moved")
+    up_to_date: int = required("files whose output of an earlier run is current")
+    planned: int = required("files not dealt with: by a dry run, or because the run ended before")
+    failed: int = required("files that failed")
+    gate_broken: int = required("files written or up to date that break a gate")
+    chosen: Mapping[str, int] = required(
+        "files written, unchanged or up to date by the method that was chosen, the most "
+        "frequent first; empty where the method was given"
+    )
+    vertices: int = required("vertices of the files denoised in this run")
+    work_seconds: float = required("sum of the seconds of the files denoised in this run")
+    volume_change_percent: Spread | None = required(
+        "change of volume over the files whose volume is valid"
+    )
+
+
+def totals(records: Sequence[MeshRecord]) -> Totals:
+    import statistics
+
+    states = Counter(record.status for record in records)
+    fresh = [record for record in records if record.status in DONE]
+    changes = known_values(records, "volume.change_percent")
+    chosen = Counter(
+        record.method.name
+        for record in records
+        if record.choice is not None and record.method is not None and record.error is None
+    )
+    return Totals(
+        files=len(records),
+        written=states["written"],
+        unchanged=states["unchanged"],
+        up_to_date=states["up-to-date"],
+        planned=states["planned"],
+        failed=states["failed"],
+        gate_broken=sum(any(list_broken(record)) for record in records),
+        chosen=dict(sorted(chosen.items(), key=lambda item: (-item[1], item[0]))),
+        vertices=sum(record.vertices or 0 for record in fresh),
+        work_seconds=sum(known_values(fresh, "seconds.total")),
+        volume_change_percent=(
+            Spread(len(changes), min(changes), statistics.median(changes), max(changes))
+            if changes
+            else None
+        ),
+    )
+
+
 def count_states(sums: Totals) -> list[Fact]:
     """How many files have which status: a word and a number each."""
     counts: tuple[tuple[str, int, Tone], ...] = (
@@ -403,15 +476,6 @@ def command_text(command: Sequence[str], max_length: int) -> str:
 
     text = shlex.join(command)
     return text if len(text) <= max_length else f"{text[:max_length]} ..."
-
-
-def setting_texts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Settings by their dotted names, as text (``true``, ``false``); unset ones are left out."""
-    for name, value in flatten(plain(data)):
-        if value is not None and value not in ("", []):
-            items = value if isinstance(value, list) else [value]
-            texts = (item if isinstance(item, str) else json.dumps(item) for item in items)
-            yield name, ", ".join(texts)
 
 
 def file_name(name: str) -> str:

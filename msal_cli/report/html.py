@@ -34,8 +34,8 @@ from msal_cli.job.room import open_mesh
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report import facts
-from msal_cli.report.data import Totals, known_values, list_broken, plain, totals
-from msal_cli.report.facts import Fact, Tone
+from msal_cli.report.data import plain, setting_texts
+from msal_cli.report.facts import Fact, Tone, Totals
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, escape, to_base64
 from msal_cli.view.panels import jpeg_bytes
@@ -89,7 +89,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
     ]
     scripts = ([pages.viewer_script()] if scenes else []) + [asset(__file__, "report.js")]
     styles = ([pages.viewer_style()] if scenes else []) + [asset(__file__, "report.css")]
-    sums = totals(records)
+    sums = facts.totals(records)
     content = Template(asset(__file__, "report.html")).substitute(
         totals=_totals(run, sums),
         notes="".join(
@@ -130,7 +130,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[dict[str, str]], li
     columns = [dict(zip(("title", "unit", "kind"), head, strict=True)) for head in heads]
     rows = []
     for record in records:
-        kind = "gate" if list_broken(record) else "good"
+        kind = "gate" if facts.list_broken(record) else "good"
         kind = record.status if record.status in ("failed", "planned") else kind
         status = {"planned": "not done", "up-to-date": "up to date"}.get(
             record.status, "gate broken" if kind == "gate" else record.status
@@ -240,7 +240,7 @@ def _settings(run: Run) -> str:
     ):
         lines = "".join(
             f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
-            for name, value in facts.setting_texts(values)
+            for name, value in setting_texts(values)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
     return f'{head}<div class="grid">{"".join(parts)}</div>'
@@ -395,7 +395,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
     so that a bad file is visible.
     """
     done = [record for record in records if record.status in WITH_OUTPUT]
-    moves = known_values(done, "displacement.p95_edges")
+    moves = facts.known_values(done, "displacement.p95_edges")
     sizes = [size for size in moves if math.isfinite(size) and size > _ROUNDING_EDGES]
     if not sizes:
         return 0.5

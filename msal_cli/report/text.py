@@ -9,7 +9,6 @@ from msal_cli.job.display_names import columns, escape_for_display, figure, pad_
 from msal_cli.job.records import DONE, InfoRecord, MeshRecord, Planned, Run
 from msal_cli.machine import megabytes
 from msal_cli.report import facts
-from msal_cli.report.data import known_values, totals
 from msal_cli.report.facts import Fact, Line, Tone, file_name
 
 MAX_LINES = 8
@@ -93,7 +92,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
             figure(sum(planned.bytes or 0 for planned in todo) / 1e6, ",.1f", " MB"),
             "about " + format_count(sum(planned.vertices or 0 for planned in todo), "vertex"),
         ]
-    seconds = known_values(todo, "seconds")
+    seconds = facts.known_values(todo, "seconds")
     if seconds:
         # One process does a file.
         total_s = max(max(seconds), sum(seconds) / min(n_cores, len(seconds))) + _START_S
@@ -203,7 +202,7 @@ def _batch_lines(
     elif listed:
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     yield from list_problems(records, verbose)
-    sums = totals(records)
+    sums = facts.totals(records)
     yield from (Line(f"{fact.word}: {fact.text}") for fact in facts.total_facts(records, sums))
     is_bad = sums.failed or sums.gate_broken or run.interrupted
     yield Line(

@@ -12,15 +12,8 @@ from jsonschema import Draft202012Validator
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restore_name
 from msal_cli.job.records import Volume
-from msal_cli.report.data import (
-    plain,
-    read_json,
-    read_lines,
-    render_csv,
-    render_json,
-    render_lines,
-    totals,
-)
+from msal_cli.report.data import plain, read_json, read_lines, render_csv, render_json, render_lines
+from msal_cli.report.facts import totals
 from tests.report.made import RECORDS, RUN, failed, load_schema, written
 
 REPORT = Draft202012Validator(load_schema("report"))
