@@ -321,27 +321,27 @@ def _root(parent, item):
 
 
 @compiled
+def _join(parent, root, item):
+    """Join the component of a root with that of another item; returns its root."""
+    other = _root(parent, item)
+    if other == root:
+        return root
+    # The lower number becomes the root, so that the result is unique.
+    parent[max(root, other)] = min(root, other)
+    return min(root, other)
+
+
+@compiled
 def _count_components(faces, used, parent):
-    components = 0
     for i in range(len(parent)):
         parent[i] = i
-        if used[i]:
-            components += 1
     for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if parent[a] == parent[b] and parent[b] == parent[c]:
-            continue
-        first = _root(parent, a)
-        for corner in range(1, 3):
-            other = _root(parent, faces[f, corner])
-            if other != first:
-                components -= 1
-                # The lower number becomes the root, so that the result is unique.
-                if other < first:
-                    parent[first] = other
-                    first = other
-                else:
-                    parent[other] = first
+        a, b, c = vec.load(faces, f)
+        if parent[a] != parent[b] or parent[b] != parent[c]:
+            _join(parent, _join(parent, _root(parent, a), b), c)
+    components = 0
+    for i in range(len(parent)):
+        components += used[i] and parent[i] == i
     return components
 
 
@@ -352,71 +352,27 @@ def count_components(n_vertices: int, faces: Ints, used: Flags) -> int:
 
 def component_labels(n_vertices: int, faces: Ints) -> Ints:
     """For each vertex (n,) the lowest vertex number in its connected component."""
-    labels = np.empty(n_vertices, dtype=np.int32)
-    _count_components(faces, np.ones(n_vertices, dtype=bool), labels)
-    while not np.array_equal(above := labels[labels], labels):
-        labels = above
-    return labels
+    parent = np.empty(n_vertices, dtype=np.int32)
+    _count_components(faces, np.ones(n_vertices, dtype=bool), parent)
+    return _find_roots(parent)
+
+
+def _find_roots(parent: Ints) -> Ints:
+    while not np.array_equal(above := parent[parent], parent):
+        parent = above
+    return parent
 
 
 @compiled
-def _root_and_parity(parent, parity, face):
-    """The root of a face, and whether the face has the opposite winding; paths are shortened."""
-    root = face
-    against = False
-    while parent[root] != root:
-        against ^= parity[root]
-        root = parent[root]
-    here, left = face, against
-    while parent[here] != root and here != root:
-        up, was = parent[here], parity[here]
-        parent[here] = root
-        parity[here] = left
-        left ^= was
-        here = up
-    return root, against
-
-
-@compiled
-def _to_flip(corners, following, flip):
-    m = len(flip)
-    parent = np.arange(m)
-    parity = np.zeros(m, dtype=np.bool_)
-    twisted = np.zeros(m, dtype=np.bool_)
+def _join_faces(corners, following, parent):
     for side in range(len(corners)):
         other = np.int64(following[side])
         # Each edge with exactly two faces once: its two sides follow each other.
-        if other <= side or following[other] != side:
-            continue
-        a, a_against = _root_and_parity(parent, parity, side // 3)
-        b, b_against = _root_and_parity(parent, parity, other // 3)
-        is_odd = a_against ^ b_against ^ (corners[side] == corners[other])
-        if a == b:
-            twisted[a] |= is_odd
-        else:
-            # The lower root stays.
-            low, high = min(a, b), max(a, b)
-            parent[high] = low
-            parity[high] = is_odd
-            twisted[low] |= twisted[high]
-    against = np.zeros(m, dtype=np.int64)
-    size = np.zeros(m, dtype=np.int64)
-    for f in range(m):
-        root, is_against = _root_and_parity(parent, parity, f)
-        size[root] += 1
-        if is_against:
-            against[root] += 1
-        flip[f] = is_against
-    unorientable = 0
-    for f in range(m):
-        root, _ = _root_and_parity(parent, parity, f)
-        if twisted[root]:
-            flip[f] = False
-            if root == f:
-                unorientable += 1
-        elif 2 * against[root] > size[root]:
-            flip[f] = not flip[f]
-    return unorientable
+        if other > side and following[other] == side:
+            a, b = 2 * (side // 3), 2 * (other // 3)
+            is_against = np.int64(corners[side] == corners[other])
+            _join(parent, _root(parent, a), b + is_against)
+            _join(parent, _root(parent, a + 1), b + 1 - is_against)
 
 
 def faces_to_flip(faces: Ints, links: Connectivity) -> tuple[Flags, int]:
@@ -430,7 +386,13 @@ def faces_to_flip(faces: Ints, links: Connectivity) -> tuple[Flags, int]:
     flip : (m,) bool.
     unorientable : number of components that have no consistent winding.
     """
-    flip = np.zeros(len(faces), dtype=bool)
-    corners = faces.reshape(-1).view(np.uint32)
-    unorientable = _to_flip(corners, side_circles(faces, links), flip)
-    return flip, int(unorientable)
+    # Face f is two items, 2 f as it is and 2 f + 1 flipped.  Items of consistent winding are
+    # joined, so a component is joined with its flipped self if it has no consistent winding.
+    parent = np.arange(2 * len(faces), dtype=np.int32)
+    _join_faces(faces.reshape(-1).view(np.uint32), side_circles(faces, links), parent)
+    kept, flipped = _find_roots(parent).reshape(-1, 2).T
+    counts = np.bincount(kept, minlength=len(parent))
+    # Of two halves that one is flipped that does not have the first face.
+    flip = counts[kept] < counts[flipped] + kept % 2
+    is_first = kept == np.arange(0, len(parent), 2)
+    return flip, int(np.count_nonzero(is_first & (kept == flipped)))
