@@ -99,7 +99,7 @@ def mean_curvature(mesh: Mesh) -> Floats:
 
     x, links = mesh.vertices, mesh.topology
     weights = cotangent_weights(x, mesh.faces, links)
-    areas = mixed_areas(x, mesh.faces, links)
+    areas = mixed_areas(x, mesh.faces)
     owner = np.repeat(np.arange(len(x)), np.diff(links.ring_start))
     gradient = np.empty_like(x)
     for axis in range(3):

@@ -110,19 +110,7 @@ def _corner_areas(start, stop, vertices, faces, areas):
             vec.store(areas, f, (of_ca + of_ab, of_ab + of_bc, of_bc + of_ca))
 
 
-@compiled
-def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):
-    for i in range(start, stop):
-        total = 0.0
-        for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            for corner in range(3):
-                if faces[f, corner] == i:
-                    total += corner_areas[f, corner]
-        areas[i] = total
-
-
-def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
+def mixed_areas(vertices: Floats, faces: Ints) -> Floats:
     """Mixed Voronoi area of each vertex, (n,), squared file units; Meyer et al. 2002.
 
     In a face without an obtuse angle each corner has the part that is nearest to it; in an obtuse
@@ -130,7 +118,8 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     vertices is the area of the surface.
     """
     corner_areas = fill_array(_corner_areas, (len(faces), 3), vertices, faces)
-    return fill_array(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence)
+    sums = np.bincount(faces.reshape(-1), corner_areas.reshape(-1), len(vertices))
+    return np.asarray(sums, dtype=np.float64)
 
 
 # Mean curvature flow, x' = -grad(area) / area of the vertex, by explicit and implicit steps.
@@ -150,7 +139,7 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
     ``areas`` is ``"mixed"``: the mixed Voronoi area; or ``"ring"``: a third of the one-ring's area.
     """
     if areas == "mixed":
-        return mixed_areas(vertices, faces, links)
+        return mixed_areas(vertices, faces)
     return ring_areas(vertices, faces, links) / 3.0
 
 
