@@ -276,21 +276,28 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     return b"".join([*pieces, faces])
 
 
-def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:
+def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> memoryview:
     """Numbers (n, k), a line per row, as the shortest text that is read as the same number, of
     float32 if ``single``."""
     from msal_cli.kernels import text
 
-    digits, stops = text.print_shortest(values.reshape(-1), single)
-    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return text.format_lines(digits, stops, ends, prefix).tobytes()
+    blanks = [b" "] * (values.shape[1] - 1)
+    return text.fill_rows(
+        (prefix, *blanks, b"\n"), *text.print_shortest(values.reshape(-1), single)
+    )
 
 
 def integer_lines(
     values: Longs | Ints, sizes: Longs, prefix: bytes = b"", *, doubled: bool = False
-) -> bytes:
-    """Whole numbers (c,) in lines of ``sizes`` (p,); ``doubled`` as of ``text.format_lines``."""
+) -> memoryview:
+    """Whole numbers (c,) in lines of ``sizes`` (p,); each as ``t//t`` if ``doubled``, as OBJ names
+    a corner with a normal."""
     from msal_cli.kernels import text
 
-    digits, stops = text.print_numbers(values.astype(np.float64), 0)
-    return text.format_lines(digits, stops, np.cumsum(sizes), prefix, doubled).tobytes()
+    which = np.full(len(values), 2, dtype=np.uint8)
+    which[np.cumsum(sizes) - 1] = 3
+    numbers = values.astype(np.float64)
+    if doubled:
+        numbers, which = np.repeat(numbers, 2), np.repeat(which, 2)
+        which[::2] = 1
+    return text.fill_rows((prefix, b"//", b" ", b"\n"), *text.print_numbers(numbers, 0), which)

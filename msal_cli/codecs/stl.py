@@ -483,6 +483,5 @@ def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> B
     pieces = (b"  facet normal ", b" ", b" ", *first, *corner, *corner)
     line = " ".join(name.split())
     head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
-    return b"".join(
-        [head, *fill_rows((*pieces, b"\n    endloop\n  endfacet\n"), digits, stops), tail]
-    )
+    facets = fill_rows((*pieces, b"\n    endloop\n  endfacet\n"), digits, stops)
+    return b"".join([head, facets, tail])

@@ -298,7 +298,7 @@ def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     rows = text.fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
     digits, stops = text.print_numbers(faces.reshape(-1).astype(np.float64), 0)
     triangles = text.fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
-    model = b"".join([_HEAD, *rows, _MIDDLE, *triangles, _TAIL])
+    model = b"".join([_HEAD, rows, _MIDDLE, triangles, _TAIL])
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, content in (

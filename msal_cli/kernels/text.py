@@ -5,10 +5,9 @@ ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes on
 for all kernels here.  All values are exact: see ``numbers``.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.kernels.library import compiled
@@ -260,80 +259,49 @@ def copy_bytes(source, start, stop, target, at):
     return at + stop - start
 
 
-_BLOCK = 1 << 14
-"""Rows that are formatted at once."""
+@compiled
+def _append_bytes(source, start, stop, target, at):
+    """``copy_bytes`` for a target that is filled in order: it may write up to seven more bytes."""
+    end = at + stop - start
+    while at < end:
+        store_eight(target, at, load_eight(source, start))
+        start += 8
+        at += 8
+    return end
 
 
 @compiled
-def _format_lines(text, stops, row_stops, prefix, doubled, out):
-    to = 0
-    start = 0
-    token = 0
-    for row_stop in row_stops:
-        to = copy_bytes(prefix, 0, len(prefix), out, to)
-        while token < row_stop:
-            to = copy_bytes(text, start, stops[token], out, to)
-            if doubled:
-                out[to] = out[to + 1] = 47
-                to = copy_bytes(text, start, stops[token], out, to + 2)
-            start = stops[token]
-            token += 1
-            out[to] = 32 if token < row_stop else 10
-            to += 1
-    return to
-
-
-def format_lines(
-    text: Bytes,
-    stops: NDArray[np.int64],
-    row_stops: NDArray[np.int64],
-    prefix: bytes = b"",
-    doubled: bool = False,
-) -> Bytes:
-    """One line for each row: ``prefix``, then the row's tokens with a blank between.
-
-    Parameters
-    ----------
-    text, stops : (size,) and (k,), k concatenated tokens, as of ``print_numbers``.
-    row_stops : (r,), ascending, the tokens up to and with each row; no row is empty.
-    doubled : write each token as ``t//t``, as OBJ names a corner with a normal.
-    """
-    size = len(text) * (2 if doubled else 1) + len(stops) * (3 if doubled else 1)
-    out = np.empty(size + len(row_stops) * len(prefix), dtype=np.uint8)
-    fixed = np.frombuffer(prefix, dtype=np.uint8)
-    return out[: _format_lines(as_bytes(text), stops, row_stops, as_bytes(fixed), doubled, out)]
-
-
-@compiled
-def _fill_rows(rows, places, text, stops, out):
-    """Copy ``rows`` with a token of ``text`` inserted at each of the ``places``."""
-    done = at = start = 0
-    for i in range(len(places)):
-        at = copy_bytes(rows, done, places[i], out, at)
-        at = copy_bytes(text, start, stops[i], out, at)
-        done, start = places[i], stops[i]
-    copy_bytes(rows, done, len(rows), out, at)
+def _fill_rows(pieces, ends, which, text, stops, out):
+    at = start = 0
+    is_first = True
+    for i in range(len(stops)):
+        if is_first:
+            at = _append_bytes(pieces, 0, ends[0], out, at)
+        at = _append_bytes(text, start, stops[i], out, at)
+        start, k = stops[i], np.int64(which[i])
+        at = _append_bytes(pieces, ends[k - 1], ends[k], out, at)
+        is_first = k == len(ends) - 1
 
 
 def fill_rows(
-    pieces: Sequence[bytes], text: Bytes, stops: NDArray[np.int64]
-) -> Iterator[memoryview]:
-    """Rows of tokens between ``pieces``, of which there is one more than tokens in a row.
+    pieces: Sequence[bytes], text: Bytes, stops: Longs, which: Bytes | None = None
+) -> memoryview:
+    """Rows of tokens between ``pieces``, the first of which begins each row, and the last ends it.
 
-    ``text`` (size,) and ``stops`` (k,) are the tokens of all rows, as of ``print_numbers``.
+    Parameters
+    ----------
+    text, stops : (size,) and (k,), the tokens of all rows, as of ``print_numbers``.
+    which : (k,), the piece after each token; None for all pieces in each row.
     """
-    row = b"".join(pieces)
-    places = np.cumsum([len(piece) for piece in pieces[:-1]])
-    begin = 0
-    for first in range(0, len(stops), _BLOCK * len(places)):
-        ends = stops[first : first + _BLOCK * len(places)]
-        count = len(ends) // len(places)
-        at = (len(row) * np.arange(count)[:, None] + places).reshape(-1)
-        rows, tokens = as_bytes(row * count), as_bytes(text[begin : ends[-1]])
-        out = np.empty(len(rows) + len(tokens), dtype=np.uint8)
-        _fill_rows(rows, at, tokens, ends - begin, out)
-        yield out.data
-        begin = int(ends[-1])
+    if which is None:
+        once = np.arange(1, len(pieces), dtype=np.uint8)
+        which = np.tile(once, len(stops) // len(once))
+    sizes, counts = np.array(list(map(len, pieces))), np.bincount(which, minlength=len(pieces))
+    counts[0] = counts[-1]
+    out = np.empty(len(text) + int((counts * sizes).sum()), dtype=np.uint8)
+    separators = as_bytes(b"".join(pieces)), np.cumsum(sizes)
+    _fill_rows(*separators, which, as_bytes(text), stops, out)
+    return out.data
 
 
 # Numbers replaced inside a text
@@ -430,11 +398,7 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals):
             start = _skip_to_number(buf, start)
             stop = _skip_number(buf, start)
             if new[i, axis] != old[i, axis]:
-                while done < start:
-                    store_eight(out, to, load_eight(buf, done))
-                    count = min(start - done, 8)
-                    done += count
-                    to += count
+                to = _append_bytes(buf, done, start, out, to)
                 done = stop
                 end = write_number(new[i, axis], np.int64(decimals[i]), out, to)
                 if end < 0:
