@@ -250,7 +250,7 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
 def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | None:
     """Write a piece to ``out`` from byte ``to`` on; returns its end, or None if a replaced number
     extends beyond the piece."""
-    from msal_cli.kernels.text import format_shortest, replace
+    from msal_cli.kernels.text import replace
 
     done = piece.start
     for block in _blocks(piece.patches):
@@ -259,7 +259,7 @@ def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | Non
             done, to, row, axis = replace(data, done, out, to, row, axis, *block)
             if row == len(block.begins):
                 break
-            text = format_shortest(float(block.new[row, axis]), False).encode()
+            text = repr(float(block.new[row, axis])).encode()
             out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
             to, axis = to + len(text), axis + 1
     if done > piece.stop:
@@ -277,7 +277,7 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
     # Numbers contain no line ends, so lines of the result and of the file correspond.
     places = [0]
     for piece in pieces[:-1]:
-        places.append(_skip_lines(result, places[-1], _count_lines(data[piece.start : piece.stop])))
+        places.append(skip_lines(result, places[-1], _count_lines(data[piece.start : piece.stop])))
     places.append(len(result))
     tasks = [
         functools.partial(_find_fault, data, piece, result[:stop], start)
@@ -381,7 +381,7 @@ def _count_lines(text: Bytes) -> int:
     )
 
 
-def _skip_lines(text: Bytes, at: int, n_lines: int) -> int:
+def skip_lines(text: Bytes, at: int, n_lines: int) -> int:
     """The byte after ``n_lines`` line ends from ``at`` on; the end of the text if it has fewer."""
     for begin in range(at, len(text), _LINES):
         ends = np.flatnonzero(text[begin : begin + _LINES] == 10)

@@ -173,16 +173,12 @@ def print_numbers(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
     out = np.empty(len(values) * fixed_width(largest, decimals), dtype=np.uint8)
     done, at = _print_numbers(values, 0, decimals, out, 0, stops)
     while done < len(values):
-        text = format_shortest(values[done], decimals == SHORTEST_SINGLE).encode()
+        number = np.float32(values[done]) if decimals == SHORTEST_SINGLE else values[done]
+        text = str(number).encode()
         out[at : at + len(text)] = np.frombuffer(text, dtype=np.uint8)
         at = stops[done] = at + len(text)
         done, at = _print_numbers(values, done + 1, decimals, out, at, stops)
     return out[:at], stops
-
-
-def format_shortest(value: float, single: bool) -> str:
-    """The shortest decimal that is read back as the same float64 (or float32)."""
-    return str(np.float32(value)) if single else repr(float(value))
 
 
 def print_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
