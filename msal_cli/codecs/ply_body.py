@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
-from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
+from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint, skip_lines
 from msal_cli.errors import FormatError, cut_short, format_count
 from msal_cli.kernels.parallel import at_once, is_worth_it, threads
 from msal_cli.light_dataclass import dataclass, field
@@ -212,7 +212,7 @@ def _read_pieces(part: Part, read: Callable[[int, int, int], Any]) -> list[Any]:
 
     The last two numbers of a result are the end of the records, and ``WHOLE``.
     """
-    from msal_cli.kernels.ply_scan import WHOLE, next_record, skip_lines
+    from msal_cli.kernels.ply_scan import WHOLE, next_record
 
     count = part.element.count
     if not is_worth_it(count):
@@ -220,7 +220,7 @@ def _read_pieces(part: Part, read: Callable[[int, int, int], Any]) -> list[Any]:
     bounds = [count * piece // threads() for piece in range(threads() + 1)]
     places = [int(next_record(part.data, part.start))]
     for start, stop in itertools.pairwise(bounds[:-1]):
-        places.append(int(skip_lines(part.data, places[-1], stop - start)))
+        places.append(skip_lines(part.data, places[-1], stop - start))
     spans = zip(places, bounds, bounds[1:], strict=False)
     pieces = at_once(count, *[functools.partial(read, *span) for span in spans])
     ends = [next_record(part.data, piece[-2]) for piece in pieces[:-1]]

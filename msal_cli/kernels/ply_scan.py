@@ -87,15 +87,6 @@ def next_record(data, at):
 
 
 @compiled
-def skip_lines(data, at, count):
-    """The byte after the next ``count`` line feeds."""
-    while count > 0 and at < len(data):
-        count -= data[at] == 10
-        at += 1
-    return at
-
-
-@compiled
 def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
     """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
 
