@@ -14,6 +14,7 @@ from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels import geometry
 from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.quantiles import quantiles
+from msal_cli.kernels.welding import first_places
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
@@ -238,11 +239,8 @@ def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
     """
     if ready.vertex_map is None:
         return ready.mesh.with_vertices(vertices - ready.origin)
-    positions = np.array(ready.mesh.vertices)
-    # In reverse order, so that the first of them is assigned last.
-    mapped = np.flatnonzero(ready.vertex_map >= 0)[::-1]
-    positions[ready.vertex_map[mapped]] = vertices[mapped] - ready.origin
-    return ready.mesh.with_vertices(positions)
+    first = first_places(ready.vertex_map, len(ready.mesh.vertices))
+    return ready.mesh.with_vertices(vertices[first] - ready.origin)
 
 
 def used_vertices(mesh: Mesh) -> Floats:

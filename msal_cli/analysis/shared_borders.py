@@ -11,7 +11,7 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.connectivity import boundary_curves
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles
-from msal_cli.kernels.welding import first_alike
+from msal_cli.kernels.welding import first_alike, first_places
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import PreparedMesh
 
@@ -43,13 +43,9 @@ def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) ->
         point_of_vertex = np.where(is_used, point_of_vertex[ready.vertex_map], np.int32(-1))
     vertices = np.flatnonzero(point_of_vertex >= 0)
     points = point_of_vertex[vertices].astype(np.int32)
-    positions = np.empty((n_points, 3))
-    # In reverse, so that the first of coinciding vertices is assigned last: signs of 0 may differ.
-    positions[points[::-1]] = file_vertices[vertices[::-1]]
-    corner_points = point_of_vertex[file_faces.reshape(-1)]
-    is_at_point = np.flatnonzero(corner_points >= 0)
-    corners = np.zeros(n_points, dtype=np.int64)
-    corners[corner_points[is_at_point[::-1]]] = is_at_point[::-1]
+    # That of the first of coinciding vertices: signs of 0 may differ.
+    positions = file_vertices[vertices[first_places(points, n_points)]]
+    corners = first_places(point_of_vertex[file_faces.reshape(-1)], n_points)
     row_start, row = boundary_curves(mesh.faces, mesh.topology)
     ends = np.repeat(np.arange(len(boundary), dtype=np.int32), np.diff(row_start))
     edges = np.stack([ends, row[: len(ends)]], axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels import array_files
 from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.library import compiled
@@ -200,24 +200,22 @@ def scatter(
     return result
 
 
-@compiled
-def _widest_gap(positions, place, first):
-    widest = 0.0
-    for i in range(len(place)):
-        k = place[i]
-        if k < 0:
-            continue
-        if first[k] < 0:
-            first[k] = i
-        gap = vec.square_distance(vec.load(positions, i), vec.load(positions, first[k]))
-        widest = max(widest, gap)
-    return np.sqrt(widest)
+def first_places(place: Ints, count: int) -> Longs:
+    """The first index into ``place`` (n,) at which each number below ``count`` is; -1 is none."""
+    first = np.zeros(count + 1, dtype=np.int64)
+    # In reverse, so that the first one is assigned last.
+    first[place[::-1]] = np.arange(len(place))[::-1]
+    return first[:count]
 
 
 def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
     """Largest distance of ``positions`` (n, 3) from the first one with the same ``place`` (n,)."""
-    first = np.full(n_places, -1, dtype=np.int32)
-    return float(_widest_gap(positions, place, first))
+    late = np.ones(len(place), dtype=bool)
+    first = first_places(place, n_places)
+    late[first] = False
+    late = np.flatnonzero(late & (place >= 0))
+    offsets = positions[late] - positions[first[place[late]]]
+    return float(np.sqrt((offsets * offsets).sum(axis=1).max(initial=0.0)))
 
 
 # Triangle soup, facets with separate corners, as an indexed mesh.  Most of the time is spent on
