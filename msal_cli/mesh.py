@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError, format_count, not_finite
-from msal_cli.kernels import array_files, geometry
+from msal_cli.kernels import array_files, geometry, spatial_order
 from msal_cli.kernels.connectivity import (
     Connectivity,
     connectivity,
@@ -41,9 +41,6 @@ MAX_FACES = (2**31 - 1) // 6
 
 LARGE_VERTICES = 500_000
 """From so many vertices on a mesh exceeds the processor's caches, and its order matters."""
-
-_LANES = 64
-"""Vertices in a row of the array that ``bounds`` reduces."""
 
 LARGEST_EXTENT = 1e60
 """File units.  Fourth powers of lengths much beyond it overflow, below its reciprocal underflow."""
@@ -223,12 +220,9 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     vertices, faces, (low, high) = validate_arrays(vertices, faces)
     n_file = len(vertices)
     ranks = None
-    if n_file >= LARGE_VERTICES:
-        from msal_cli.kernels import spatial_order
-
-        if spatial_order.is_random(faces):
-            extent = _require_extent(low, high)
-            vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
+    if n_file >= LARGE_VERTICES and spatial_order.is_random(faces):
+        _require_extent(low, high)
+        vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces)
     used = used_vertices(n_file, faces)
     first, n_welded = np.empty(0, dtype=np.int32), 0
     links = None
@@ -287,7 +281,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
     if n_unreferenced:
-        low, high = bounds(vertices if n_welded else vertices[used])
+        low, high = spatial_order.bounds(vertices if n_welded else vertices[used])
     _require_extent(low, high)
     origin = (low + high) / 2.0
     is_own = n_welded > 0 or ranks is not None
@@ -317,8 +311,8 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     return PreparedMesh(mesh, origin, vertex_map, defects)
 
 
-def _require_extent(low: Floats, high: Floats) -> float:
-    """The longest side of a bounding box; ContentError if computations would over- or underflow."""
+def _require_extent(low: Floats, high: Floats) -> None:
+    """Raise ContentError for a bounding box with which computations would over- or underflow."""
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -327,21 +321,6 @@ def _require_extent(low: Floats, high: Floats) -> float:
             code="E_RANGE",
             hint="scale the mesh, or look for a stray vertex",
         )
-    return extent
-
-
-def bounds(vertices: Floats) -> tuple[Floats, Floats]:
-    """Minimum and maximum of each coordinate, (3,) each; NaN and infinities propagate."""
-    # numpy is slow to reduce the first axis of an array with short rows, so rows are made longer.
-    whole = len(vertices) // _LANES * _LANES
-    rows = vertices[:whole].reshape(-1, 3 * _LANES)
-    ends = []
-    for extremum in (np.minimum, np.maximum):
-        parts = [vertices[whole:]]
-        if whole:
-            parts.append(extremum.reduce(rows, axis=0).reshape(-1, 3))
-        ends.append(extremum.reduce(np.concatenate(parts), axis=0))
-    return ends[0], ends[1]
 
 
 def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
@@ -391,14 +370,14 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
             if counts_from_1
             else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
         )
-    faces, ends = np.ascontiguousarray(faces, dtype=np.int32), bounds(vertices)
+    faces, ends = np.ascontiguousarray(faces, dtype=np.int32), spatial_order.bounds(vertices)
     if not np.isfinite(ends).all():
         is_finite = np.asarray(np.isfinite(vertices).all(axis=1))
         if (is_bad := used_vertices(n, faces) & ~is_finite).any():
             raise not_finite("a position is not finite", f"vertex {int(np.argmax(is_bad))}")
         # Samples that an organized point cloud lacks, at a place on the mesh.
         vertices = np.where(is_finite[:, None], vertices, vertices[faces[0, 0]])
-        ends = bounds(vertices)
+        ends = spatial_order.bounds(vertices)
     return vertices, faces, ends
 
 

@@ -22,6 +22,7 @@ BLOCK_BYTES = 1 << 27
 _PLACES, _TOGETHER, _PER_PAGE = 64, 64, 4096 // 24
 
 _CELLS = 1024
+_LANES = 64  # points in a row of the array that ``bounds`` reduces
 LOW_BITS = np.uint64(0xFFFFFFFF)
 """The bits of a key that are the number of a vertex or a face."""
 _HIGH = np.uint64(32)
@@ -80,33 +81,41 @@ def blocks(count: int, row_bytes: int) -> list[tuple[int, int]]:
     return [(first, min(first + step, count)) for first in range(0, count, step)]
 
 
-def morton_keys(vertices: Floats, low: Floats, extent: float) -> NDArray[np.uint64]:
-    """Keys (n,): the Morton code of the cell of each vertex (n, 3) in the upper 32 bits, and the
-    number of the vertex below; see ``sort_in_space``."""
-    keys = np.empty(len(vertices), dtype=np.uint64)
-    over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
+def bounds(points: Floats) -> tuple[Floats, Floats]:
+    """Minimum and maximum of each coordinate, (3,) each; NaN and infinities propagate."""
+    # numpy is slow to reduce the first axis of an array with short rows, so rows are made longer.
+    whole = len(points) // _LANES * _LANES
+    rows = points[:whole].reshape(-1, 3 * _LANES)
+    ends = []
+    for extremum in (np.minimum, np.maximum):
+        parts = [points[whole:]]
+        if whole:
+            parts.append(extremum.reduce(rows, axis=0).reshape(-1, 3))
+        ends.append(extremum.reduce(np.concatenate(parts), axis=0))
+    return ends[0], ends[1]
+
+
+def morton_keys(points: Floats) -> NDArray[np.uint64]:
+    """Keys (n,): the Morton code of the cell of each point (n, 3), along a curve through their
+    bounding box, in the upper 32 bits, and the number of the point below."""
+    low, high = bounds(points)
+    extent = max(float((high - low).max()), np.finfo(float).tiny * _CELLS)
+    keys = np.empty(len(points), dtype=np.uint64)
+    over_ranges(_key_vertices, len(points), points, low, _CELLS / extent, keys)
     return keys
 
 
 def order_in_space(points: Floats) -> Longs:
     """The indices (n,) of points (n, 3) along a Morton curve through their bounding box."""
-    low = points.min(axis=0)
-    extent = max(float((points.max(axis=0) - low).max()), np.finfo(float).tiny * _CELLS)
-    keys = morton_keys(points, low, extent)
+    keys = morton_keys(points)
     keys.sort()
     return (keys & LOW_BITS).astype(np.int64)
 
 
-def sort_in_space(
-    vertices: Floats, faces: Ints, low: Floats, extent: float
-) -> tuple[Floats, Ints, Ints]:
+def sort_in_space(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
     """Vertices (n, 3) along a Morton curve through their bounding box, faces (m, 3) by their first
-    vertex, and the new number (n,) of each vertex.
-
-    ``low`` (3,) is the lower corner of the box, and ``extent`` its longest side.
-    """
-    keys = morton_keys(vertices, low, extent)
-    vertices, faces, ranks = order_vertices(vertices, faces, keys)
+    vertex, and the new number (n,) of each vertex."""
+    vertices, faces, ranks = order_vertices(vertices, faces, morton_keys(vertices))
     # The lowest vertex number of each face, and in the low half the number of the face.
     a, b, c = faces.T
     least = np.minimum(np.minimum(a, b), c).astype(np.uint64)

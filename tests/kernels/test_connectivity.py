@@ -139,7 +139,7 @@ def test_the_order_is_that_of_the_cells_and_the_numbers(monkeypatch):
     # Corners of the unit cube: the code of a cell has the bits of x below those of y and z.
     corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
     faces = np.array([[7, 6, 4], [0, 1, 2]], dtype=np.int32)
-    vertices, ordered, ranks = spatial_order.sort_in_space(corners, faces, np.zeros(3), 1.0)
+    vertices, ordered, ranks = spatial_order.sort_in_space(corners, faces)
     assert vertices.tolist() == [
         [0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]
     ]  # fmt: skip
