@@ -363,7 +363,7 @@ class Gate:
             value = _apply(lambda a, b: a / share * b, factor.value, other.value)
             return _Meaning(other.unit, value, at)
         if sign == "/" and right.unit in (CONSTANT, QUOTIENT):
-            unit = QUOTIENT if left.unit == CONSTANT else left.unit
+            unit = right.unit if left.unit == CONSTANT else left.unit
             return _Meaning(unit, _apply(_JOINED["/"], left.value, right.value), at)
         return self._join_alike(at, sign, left, right)
 

@@ -41,7 +41,7 @@ def test_lengths_with_a_unit(text, unit, is_broken):
 
 
 BROKEN = (
-    "abs(volume_change) > 0.2%; volume_change <= -0.266%; volume.change_percent < -0.2%; "
+    "abs(volume_change) > 0.2%; volume_change <= -0.266%; volume.change_percent < -1 / 5; "
     "abs(volume.after / volume.before - 1) > 0.2%; max_displacement > 3.9e; "
     "max_displacement - mean_displacement > 2.9e; mean_displacement > 20% * max_displacement; "
     "area_change / volume_change < -90; 50% * area_change < 2 * area_change / 4 + 1%; "
@@ -76,11 +76,9 @@ def test_verdicts_by_hand(texts, is_broken):
         ("faces = 1", 7, "'=' means nothing"),
         ("faces > 1 && faces > 2", 11, "'&' means nothing"),
         ("1 < faces < 3", 13, "third time"),
-        ("faces > 1 1", 11, "'1' cannot be read"),
         ("faces > 0.5edges", 9, "'0.5edges' means nothing"),
         ("faces > __", 9, "no record has a number '__'"),
         ("abs(faces, x=1) > 1", 13, "'=' means nothing"),
-        ("faces > (1, 2)", 9, "means nothing"),
         ("faces > 2,000", 1, "'faces > 2,000' means nothing"),
         ("sqrt(faces) > 1", 1, "no function sqrt"),
         ("abs(faces, 1) > 1", 1, "abs takes one value"),
@@ -93,20 +91,17 @@ def test_verdicts_by_hand(texts, is_broken):
         # Units that do not go together.
         ("volume_change > 1", 1, ""),
         ("volume_change > 1e", 1, ""),
+        ("volume_change > 1 / 100", 1, "without a unit"),
         ("flipped_faces > 1%", 1, ""),
         ("max_displacement > 1%", 1, ""),
         ("area.after > 2e", 1, ""),
         ("area.after > 2e * 2e", 14, "a length and a length do not go together"),
         ("volume.after / area.after > 2e", 1, "a volume and an area"),
-        ("1e > 2%", 1, ""),
-        ("max_displacement + 1% > 0", 1, ""),
-        ("volume.valid > 1", 1, ""),
         ("abs(volume.valid) > 1", 5, "a number is needed"),
         ("flipped_faces", 1, ""),
         ("known(1)", 7, "takes a name"),
         ("max_displacement > 0.1mm", 20, "0.1mm: mesh files have no unit"),
         ("max_displacement > 1e308km", 20, "too large"),
-        ("flipped_faces > 1mm", 1, "do not go together"),
         ("seconds > 5min", 11, "'5min' means nothing"),
     ],
 )
@@ -208,5 +203,5 @@ def test_any_text_is_refused_or_judged(text):
         assert "column" in error.message
     else:
         result = gates[0].evaluate(CLOSED)
-        assert result.broken or result.decided
-        assert result.reason
+        is_unknown = None in result.values.values() or "cannot be computed" in result.reason
+        assert (result.decided or (result.broken and is_unknown)) and result.reason
