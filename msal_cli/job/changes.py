@@ -188,11 +188,9 @@ def method_warnings(
     There is none about too much noise where that may be texture: it is not known what is better.
     ``is_ruled`` is the result of ``is_ruled_by_spike``.
     """
-    from msal_cli.analysis.noise_estimate import SURE
-
     if displacement.mean_edges < _MIN_MOVE_EDGES:
         return ()
-    if noise.negligible and noise.high_edges < SURE:
+    if noise.negligible and not noise.unsure:
         return (
             f"no noise to speak of, and {method.name} moved vertices by "
             f"{displacement.mean_edges:.2g} e: --min-noise auto leaves such meshes as they are, "

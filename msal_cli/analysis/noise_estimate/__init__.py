@@ -46,7 +46,6 @@ from msal_cli.analysis.noise_estimate.level import (
     KINDS,
     MIN_PROBABILITY,
     NOISE,
-    SURE,
     TEXTURE,
     NoiseCharacter,
     NoiseLevel,
@@ -61,7 +60,6 @@ from msal_cli.mesh import Mesh, cached_by_mesh
 
 __all__ = [
     "NOISE",
-    "SURE",
     "TEXTURE",
     "NoiseCharacter",
     "NoiseLevel",
@@ -144,7 +142,7 @@ where flat edges decide, none has such steps."""
 MAX_OPEN = 0.01
 """Share of boundary vertices above which a mesh may be a range scan with rounded depths."""
 
-MAX_DOUBTFUL = 0.89
+MAX_DOUBTFUL = MIN_PROBABILITY - 0.01
 """Largest probability of noise that is rejected for other reasons; it makes the estimate unsure."""
 
 MAX_WHITE, SURE_SHARED_NOISE = 1.25, 0.9
@@ -560,14 +558,15 @@ def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
 
 
 def _without_noise(
-    white: WhiteEstimate, probability: float, basis: str, highest: float = 0.0
+    white: WhiteEstimate, probability: float, basis: str, rejected: float = 0.0
 ) -> Estimate:
-    """The estimate that there is no noise, or not enough to be seen; ``highest`` is the level that
+    """The estimate that there is no noise, or not enough to be seen; ``rejected`` is the level that
     it may have if that is unsure."""
+    is_unsure = MIN_PROBABILITY > probability > 1.0 - MIN_PROBABILITY
     noise = NoiseLevel(
         mean_edges=0.0,
         low=0.0,
-        high=highest,
+        high=rejected if is_unsure else 0.0,
         file_units=0.0,
         rms_edges=0.0,
         tail=white.tail,
@@ -576,7 +575,7 @@ def _without_noise(
         highest=0.0,
         regions=len(white.regions),
         character=NoiseCharacter("none", confidence=probability, basis=basis),
-        readings=_order_readings(highest, 1.0 - probability),
+        readings=_order_readings(rejected, 1.0 - probability),
     )
     return Estimate(noise)
 

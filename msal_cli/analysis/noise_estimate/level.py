@@ -7,9 +7,6 @@ import math
 
 from msal_cli.light_dataclass import dataclass
 
-SURE = 0.025
-"""Mean edge lengths: if the upper end of the interval is below, there is certainly no noise."""
-
 SPIKES, MIN_SPIKES = 0.07, 0.005
 """Spikes count as noise from this root mean square, mean edge lengths, and share of the vertices.
 """
