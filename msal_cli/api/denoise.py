@@ -427,9 +427,7 @@ def denoise_file(
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        file = FileRun(task.input, settings)
-        data = file.read(task)
-        record = file.write(task, data, file.denoise(data, task.output))
+        record = FileRun(task.input, settings).finish_task(task)
         return with_gates(gates, [record])[0]
 
 

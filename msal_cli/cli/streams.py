@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
@@ -111,17 +112,25 @@ def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> M
     """
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import FileRun
+    from msal_cli.job.room import room_for_files
 
     name, target = task.input, task.output
     run = FileRun(name, settings, on_progress)
+    place = None if target == STREAM else target
     try:
-        data = read_stream() if name == STREAM else header.read_input(name, settings.format)
-        made = run.denoise(data, None if target == STREAM else target)
-        if target == STREAM:
-            console.put_bytes(made.data)
-        else:
-            # The shell may have redirected a private file to standard input: take its permissions.
-            write_output(target, made.data, sources=[0])
+        with ExitStack() as stack:
+            if name == STREAM:
+                data = read_stream()
+            else:
+                stack.enter_context(room_for_files([name], settings.format, place, settings))
+                data = header.read_input(name, settings.format)
+            made = run.denoise(data, place)
+            if place is None:
+                console.put_bytes(made.data)
+            else:
+                # The shell may have redirected a private file to standard input: take its
+                # permissions.
+                write_output(place, made.data, sources=[0])
         return run.finish(target)
     except (UsageError, BrokenPipeError):
         raise

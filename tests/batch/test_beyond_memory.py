@@ -4,12 +4,15 @@ before anything of it is loaded."""
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from msal_cli import denoise_file as denoise_mesh_file
 from msal_cli import machine
+from msal_cli.cli.streams import denoise_stream
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files, inspect_file
@@ -122,6 +125,18 @@ def test_every_way_of_denoising_gives_the_same_bytes(name, tmp_path, small):
     same_bytes(
         waves(tmp_path / "a.ply", 30 if name in ("auto", "l0") else 60), SETTINGS[name], tmp_path
     )
+
+
+@linux
+def test_python_and_standard_output_have_arrays_in_files_too(tmp_path, small, monkeypatch):
+    source = waves(tmp_path / "a.ply", 60)
+    need = forecast(Task(str(source), "", ""), Settings("msal")).memory_bytes
+    monkeypatch.setattr(machine, "available_bytes", lambda: (need + BASE_BYTES) // 2)
+    used = []
+    monkeypatch.setattr(room, "use_scratch", lambda scratch: used.append(scratch) or nullcontext())
+    denoise_mesh_file(source, tmp_path / "b.ply", method="msal")
+    denoise_stream(Task(str(source), "-", ""), Settings("msal"), lambda *done: None)
+    assert len(used) == 2 and None not in used
 
 
 @linux
