@@ -169,9 +169,12 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
         f"{what}; {label}",
         surface,
         noise,
-        risk=error,
+        # That of the whole displacement, by these members alone.
+        risk=error if share == 1.0 and wishes.strength <= 0.0 else None,
         tried=len(candidates),
-        runners_up=tuple((candidates[k].label, float(errors[k])) for k in order[1:]),
+        runners_up=tuple(
+            (candidates[k].label, float(errors[k])) for k in order[1:4] if scores[k] < 0.0
+        ),
     )
 
 

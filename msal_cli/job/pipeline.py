@@ -65,12 +65,7 @@ def denoise_file(
     """
     run = FileRun(task.input, settings, on_progress)
     try:
-        # The mark is older than the bytes, so that an object that changes in between is done again.
-        run.know(input_object=task.input_mark)
-        with room.room_for_task(task, settings, limits):
-            data = run.read(task)
-            made = run.denoise(data, task.output)
-            return run.write(task, data, made)
+        return run.finish_task(task, limits)
     except Exception as error:
         return run.fail(error)
 
@@ -144,9 +139,18 @@ class FileRun:
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
         failure = records.Failure.of(room.to_known_error(error, self.record.input))
-        return self._close_record(status="failed", error=failure, **dict.fromkeys(_OF_OUTPUT))
+        unknown = {**dict.fromkeys(_OF_OUTPUT), "warning_codes": ()}
+        return self._close_record(status="failed", error=failure, **unknown)
 
     # The way of a file
+
+    def finish_task(self, task: Task, limits: Limits = NO_LIMITS) -> MeshRecord:
+        """Read, denoise and write one file, with room for it."""
+        # The mark is older than the bytes, so that an object that changes in between is done again.
+        self.know(input_object=task.input_mark)
+        with room.room_for_task(task, self._settings, limits):
+            data = self.read(task)
+            return self.write(task, data, self.denoise(data, task.output))
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input; an error if its header shows that it is no mesh."""
@@ -311,8 +315,7 @@ class FileRun:
             else:
                 break
             self.know(**chosen.known)
-        if chosen is not first:
-            self.warn(*chosen.warnings)
+        self.warn(*(text for text in chosen.warnings if text not in first.warnings))
         with self.stage("measure"):
             self.know_changes(measured, ready, moved)
             noise, displacement = self.record.noise_estimate, self.record.displacement

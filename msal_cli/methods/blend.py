@@ -235,7 +235,8 @@ class Parameters:
     def bytes_per_face(self) -> int:
         """Memory per triangle for these members; see ``Method``."""
         members = parse_members(self.members, len(parse_levels(self.levels)))
-        return KEPT_PER_FACE + max(member.method.bytes_per_face for member in members)
+        needs = (member.method.bytes_per_face_of(member.parameters) for member in members)
+        return KEPT_PER_FACE + max(needs)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
