@@ -259,4 +259,4 @@ if __name__ == "__main__":
     work = tasks(given.names or (*formats(), "none"))
     with multiprocessing.Pool(given.jobs) as pool:
         found = (pair for sums in pool.imap(sums_of, work) for pair in sums.items())
-        kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given.write)
+        kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given)

@@ -68,8 +68,11 @@ def options(description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def settle(path: Path, found: Iterable[tuple[str, Any]], here: dict[str, str], write: bool) -> None:
-    """Print which sums differ from those in a file, and exit with 1, or replace them there."""
+def settle(
+    path: Path, found: Iterable[tuple[str, Any]], here: dict[str, str], given: argparse.Namespace
+) -> None:
+    """Print which sums differ from those in a file, and exit with 1, or replace them there by the
+    options ``given``."""
     check_library()
     document = json.loads(path.read_text())
     sums, n_different = {}, 0
@@ -80,7 +83,9 @@ def settle(path: Path, found: Iterable[tuple[str, Any]], here: dict[str, str], w
             n_different += 1
             print(f"{name}: {change}", flush=True)
     print(f"{len(sums)} compared, {n_different} different")
-    if write:
+    if given.write:
+        if given.names and document["environment"] != here:
+            raise SystemExit("the sums were made elsewhere: replace all, or none")
         document = {"environment": here, "sums": dict(sorted((document["sums"] | sums).items()))}
         text = json.dumps(document, indent=1)
         path.write_text(re.sub(r"\[\n\s+(.*),\n\s+(.*)\n\s+\]", r"[\1, \2]", text) + "\n")

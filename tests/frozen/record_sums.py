@@ -285,4 +285,4 @@ if __name__ == "__main__":
     parser.add_argument("--list", metavar="FOLDER", type=Path)
     given = parser.parse_args()
     found = sums(given.names, given.list and given.list.resolve())
-    kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given.write)
+    kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given)

@@ -106,4 +106,4 @@ def outcomes(names: list[str]) -> Iterator[tuple[str, str]]:
 
 if __name__ == "__main__":
     given = kept.options(str(__doc__)).parse_args()
-    kept.settle(KEPT, outcomes(given.names), kept.environment(), given.write)
+    kept.settle(KEPT, outcomes(given.names), kept.environment(), given)
