@@ -29,14 +29,8 @@ ENCODINGS = {
 
 WRITABLE = tuple(ENCODINGS)  # formats that can be written, in the order of help
 
-OWN_FORMATS = (
-    "ply",
-    "obj",
-    "stl",
-    "glb",
-    "gltf",
-    "3mf",
-)  # formats whose readers describe damaged content themselves
+OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
+"""Formats whose readers describe damaged content themselves."""
 
 _MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
 _MODELLER = "convert it to PLY or glTF, for example with Blender or MeshLab"
