@@ -14,7 +14,7 @@ from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
 from msal_cli.kernels.vectors import arctangents
-from msal_cli.kernels.welding import first_alike, number_groups, used_vertices, weld
+from msal_cli.kernels.welding import first_alike, number_groups, used_vertices
 
 POWERS = 2048
 """Number of values of the exponent bits of a float64."""
@@ -356,7 +356,7 @@ def regroup_normals(
         return result, changed
     entries = np.ascontiguousarray(corner_entry, dtype=np.int32).reshape(-1)
     usable = np.isfinite(result).all(axis=1) & (result != 0.0).any(axis=1)
-    place = weld(old_vertices, faces)
+    place, _ = first_alike(old_vertices, used_vertices(len(old_vertices), faces))
     if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
         # One normal per vertex and no seam: the entry is the group.
         group, n_groups = entries, n_entries

@@ -112,14 +112,6 @@ def repeated_corners(faces: Ints) -> Flags:
     return repeated
 
 
-def weld(vertices: Floats, faces: Ints) -> Ints:
-    """For each vertex the lowest-numbered vertex at exactly its position, (n,) int32.
-
-    Minus zero equals zero.  Vertices that no face uses are not welded and map to themselves.
-    """
-    return first_alike(vertices, used_vertices(len(vertices), faces))[0]
-
-
 @compiled
 def _number(left, right, table, number, first):
     mask = len(table) - 1
