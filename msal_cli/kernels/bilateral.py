@@ -191,7 +191,6 @@ class BallBilateral:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         links = self.links
         normals = vertex_normals(positions, self.faces, self.weighting)
         around = positions, normals, *links.one_ring, self.free
@@ -289,7 +288,6 @@ class ProjectionAverage:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         own, areas = face_normals_and_areas(positions, self.faces)
         areas /= self.mean_edge_length**2
         centroids = face_centroids(positions, self.faces)

@@ -175,7 +175,6 @@ class MeanCurvature:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         faces, links = self.faces, self.links
         weights = cotangent_weights(positions, faces, links)
         areas = vertex_areas(positions, faces, links, self.areas)
@@ -204,7 +203,6 @@ class ImplicitMeanCurvature:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``."""
         links = self.links
         areas = vertex_areas(positions, self.faces, links, self.areas)
         values = -0.5 * self.weights
@@ -429,7 +427,6 @@ class AnisotropicCurvature:
         return edge_start, ends, beside
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         n = len(positions)
         edge_start, ends, beside = self._rows
         vectors = fill_array(_area_vectors, (len(self.faces), 4), positions, self.faces)

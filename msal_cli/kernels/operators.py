@@ -271,7 +271,6 @@ class RingOperator:
     similarity: float = 0.0
 
     def __call__(self, positions: Floats) -> Step:
-        """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
         n = len(positions)
         heights, sigma = np.empty(n), np.empty(n)
         floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)
@@ -449,7 +448,6 @@ class RobustLaplacian:
     time_step: float = 0.0  # tau of a scaled operator, squared file units
 
     def __call__(self, positions: Floats) -> Step:
-        """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
         n = len(positions)
         heights, sigma = np.empty(n), np.empty(n)
         floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)

@@ -76,7 +76,6 @@ class Umbrella:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         return Step(fill_array(_umbrella, positions.shape, positions, self.ring_start, self.ring))
 
 
@@ -111,7 +110,6 @@ class ScaleDependentUmbrella:
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
-        """The moves (n, 3) at ``positions``, all from the same positions."""
         known = positions, self.ring_start, self.ring, self.time_step
         return Step(fill_array(_scale_dependent_umbrella, positions.shape, *known))
 
