@@ -35,6 +35,7 @@ from msal_cli.errors import (
     no_faces,
 )
 from msal_cli.kernels.text import as_bytes
+from msal_cli.kernels.welding import repeated_corners
 from msal_cli.light_dataclass import dataclass, field
 from msal_cli.storage.regular import Buffer
 
@@ -136,8 +137,6 @@ def find_surface(
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not
     a whole number, a range grid of unknown size) and TooLargeError.
     """
-    from msal_cli.kernels.ply_scan import unroll_strips
-
     n_vertices = len(vertices)
     if n_vertices > MAX_VERTICES:
         raise TooLargeError(f"{n_vertices:,} vertices exceed the {MAX_VERTICES:,} that are read")
@@ -165,9 +164,7 @@ def find_surface(
             warnings.append(f"{small} of fewer than three corners, kept and left out")
             corners, sizes = corners[np.repeat(is_face, lengths)], lengths[is_face]
     if "tristrips" in lists:
-        items, strip_lengths = _read_corners(*lists["tristrips"], n_vertices, has_ends=True)
-        strips = np.empty((len(items), 3), dtype=np.int32)
-        strips = strips[: unroll_strips(items, np.ascontiguousarray(strip_lengths), strips)].copy()
+        strips = unroll_strips(*_read_corners(*lists["tristrips"], n_vertices, has_ends=True))
     if not len(triangles) and not len(strips):
         if GRID not in lists:
             raise _no_faces_error(sections.get("face"), n_vertices)
@@ -218,6 +215,19 @@ def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
         message = "the faces have no list 'vertex_indices' or 'vertex_index'"
         hint = "export the mesh with its faces' corners under one of these names"
     return no_faces(message, "element face", hint)
+
+
+def unroll_strips(corners: Ints, lengths: Longs | Ints) -> Ints:
+    """Triangles (m, 3) of strips of these ``lengths`` (s,): -1 begins another one, each second
+    triangle is flipped, and those that name a vertex twice are dropped."""
+    begins = np.zeros(len(corners) + 1, dtype=np.int64)
+    for firsts in (np.cumsum(lengths), np.flatnonzero(corners < 0) + 1):
+        begins[firsts] = firsts
+    places = (np.arange(len(corners)) - np.maximum.accumulate(begins[:-1]))[2:]
+    a, b, c = corners[:-2], corners[1:-1], corners[2:]
+    is_odd = places % 2 == 1
+    triangles = np.stack([np.where(is_odd, b, a), np.where(is_odd, a, b), c], axis=1)
+    return triangles[(places >= 2) & (c >= 0) & ~repeated_corners(triangles)]
 
 
 def _read_corners(

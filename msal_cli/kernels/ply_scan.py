@@ -1,4 +1,4 @@
-"""Passes over PLY data whose records differ in length, and the triangles of polygons and strips.
+"""Passes over PLY data whose records differ in length, and the triangles of polygons.
 
 Ascii records are read by two fast passes, ``read_scalars`` and ``read_lists``; ``walk_text`` finds
 the positions of all tokens, and errors.
@@ -277,28 +277,3 @@ def fans(items, lengths, triangles):
             triangles[t, 2] = items[k]
             t += 1
         first += lengths[f]
-
-
-@compiled
-def unroll_strips(items, lengths, triangles):
-    """Triangles of strips: -1 restarts a strip, each second triangle is flipped, and those that
-    name a vertex twice are dropped.  Returns the number of triangles."""
-    first = t = 0
-    for s in range(len(lengths)):
-        run = 0  # corners since the last restart
-        for k in range(first, first + lengths[s]):
-            if items[k] < 0:
-                run = 0
-                continue
-            run += 1
-            if run < 3:
-                continue
-            a, b, c = items[k - 2], items[k - 1], items[k]
-            if a == b or b == c or a == c:
-                continue
-            triangles[t, 0] = a if run % 2 else b
-            triangles[t, 1] = b if run % 2 else a
-            triangles[t, 2] = c
-            t += 1
-        first += lengths[s]
-    return t
