@@ -76,17 +76,10 @@ class SurfaceChange:
 
 def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
-    figures = geometry.surface_figures(before.vertices, after.vertices, before.faces).tolist()
-    angle = figures[geometry.ANGLES] / max(figures[geometry.COMPARED], 1.0)
-    areas = figures[geometry.DOUBLED_AREA_BEFORE], figures[geometry.DOUBLED_AREA_AFTER]
-    volumes = figures[geometry.SIXFOLD_VOLUME_BEFORE], figures[geometry.SIXFOLD_VOLUME_AFTER]
-    return SurfaceChange(
-        areas=(areas[0] / 2.0, areas[1] / 2.0),
-        volumes=(volumes[0] / 6.0, volumes[1] / 6.0),
-        mean_angular_error_deg=float(np.degrees(angle)),
-        max_angular_error_deg=float(np.degrees(figures[geometry.LARGEST_ANGLE])),
-        flipped_faces=int(figures[geometry.FLIPPED]),
+    areas, volumes, mean, largest, flipped = geometry.surface_change(
+        before.vertices, after.vertices, before.faces
     )
+    return SurfaceChange(areas, volumes, math.degrees(mean), math.degrees(largest), flipped)
 
 
 def mean_curvature(mesh: Mesh) -> Floats:

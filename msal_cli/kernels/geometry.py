@@ -424,21 +424,10 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
     return result
 
 
-(
-    DOUBLED_AREA_BEFORE,
-    DOUBLED_AREA_AFTER,
-    SIXFOLD_VOLUME_BEFORE,
-    SIXFOLD_VOLUME_AFTER,
-    ANGLES,  # sum of the angles between a face's normals, radians
-    LARGEST_ANGLE,
-    FLIPPED,  # faces that turned by more than a right angle
-    COMPARED,  # faces that have a normal before and after
-    N_FIGURES,
-) = range(9)
-
-
 @compiled
 def _changes(start, stop, before, after, faces, figures):
+    """Doubled areas, sixfold volumes, the sum and the largest of the angles, and the numbers of
+    faces that flipped and that have both normals, of each block of faces."""
     # Gathering cannot become vector code; the later loops can.
     px, py, pz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
     qx, qy, qz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
@@ -486,25 +475,25 @@ def _changes(start, stop, before, after, faces, figures):
         for at in range(count):
             total += apart[at]
             largest = max(largest, apart[at])
-        figures[block, DOUBLED_AREA_BEFORE] = area_before
-        figures[block, DOUBLED_AREA_AFTER] = area_after
-        figures[block, SIXFOLD_VOLUME_BEFORE] = volume_before
-        figures[block, SIXFOLD_VOLUME_AFTER] = volume_after
-        figures[block, ANGLES] = 2.0 * total
-        figures[block, LARGEST_ANGLE] = 2.0 * largest
-        figures[block, FLIPPED] = flipped
-        figures[block, COMPARED] = compared
+        figures[block, 0], figures[block, 1] = area_before, area_after
+        figures[block, 2], figures[block, 3] = volume_before, volume_after
+        figures[block, 4], figures[block, 5] = 2.0 * total, 2.0 * largest
+        figures[block, 6], figures[block, 7] = flipped, compared
 
 
-def surface_figures(before: Floats, after: Floats, faces: Ints) -> Floats:
-    """The figures (N_FIGURES,), named above, of ``faces`` (m, 3) with two sets of vertices (n, 3);
-    the largest angle is a maximum, all others are sums."""
+def surface_change(
+    before: Floats, after: Floats, faces: Ints
+) -> tuple[tuple[float, float], tuple[float, float], float, float, int]:
+    """Areas and signed volumes of ``faces`` (m, 3) with two sets of vertices (n, 3); the mean and
+    the largest angle between their normals, radians, and the number of faces that turned by more
+    than a right angle, both over the faces that have a normal before and after."""
     n_blocks = -(-len(faces) // BLOCK_FACES)
-    figures = np.empty((n_blocks, N_FIGURES))
+    figures = np.empty((n_blocks, 8))
     over_ranges(_changes, n_blocks, before, after, faces, figures, smallest=64)
-    total: Floats = figures.sum(axis=0)
-    total[LARGEST_ANGLE] = figures[:, LARGEST_ANGLE].max(initial=0.0)
-    return total
+    a, b, v, w, angles, _, flipped, compared = figures.sum(axis=0).tolist()
+    largest = float(figures[:, 5].max(initial=0.0))
+    areas, volumes = (a / 2.0, b / 2.0), (v / 6.0, w / 6.0)
+    return areas, volumes, angles / max(compared, 1.0), largest, int(flipped)
 
 
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:

@@ -3,15 +3,11 @@
 import numpy as np
 
 from msal_cli.kernels.geometry import (
-    ANGLES,
-    COMPARED,
-    FLIPPED,
-    LARGEST_ANGLE,
     count_parallel,
     face_normals_and_areas,
     normals_and_flat_faces,
     regroup_normals,
-    surface_figures,
+    surface_change,
     vertex_normals,
 )
 from msal_cli.mesh import prepare_mesh
@@ -70,17 +66,15 @@ def test_faces_without_a_normal_before_or_after_have_no_angle():
     after[2] = [0.0, 0.5, np.sqrt(0.75)]
     faces = np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32)
     for vertices in ((before, after), (after, before)):
-        figures = surface_figures(*vertices, faces)
-        assert figures[COMPARED] == 1 and figures[FLIPPED] == 0
-        np.testing.assert_allclose(figures[[ANGLES, LARGEST_ANGLE]], np.pi / 3.0, rtol=1e-12)
+        _, _, *angles, flipped = surface_change(*vertices, faces)
+        assert flipped == 0
+        np.testing.assert_allclose(angles, np.pi / 3.0, rtol=1e-12)
     # A face becomes a line, or a line a face.
     after[2] = [-1.0, 0.0, 0.0]
     for vertices in ((before, after), (after, before)):
-        figures = surface_figures(*vertices, faces[:1])
-        assert figures[[COMPARED, FLIPPED, ANGLES, LARGEST_ANGLE]].tolist() == [0, 0, 0, 0]
+        assert surface_change(*vertices, faces[:1])[2:] == (0.0, 0.0, 0)
     after[2] = [0.0, -1.0, 0.0]
-    figures = surface_figures(before, after, faces)
-    assert figures[COMPARED] == figures[FLIPPED] == 1
+    assert surface_change(before, after, faces)[2:] == (np.pi, np.pi, 1)
 
 
 def test_parallel_normals_are_those_that_numpy_finds():

@@ -11,7 +11,7 @@ from msal_cli.errors import InternalError
 from msal_cli.kernels import geometry, library, parallel, welding, z_buffer
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.faces import face_rings
-from msal_cli.kernels.geometry import normals_and_flat_faces, surface_figures
+from msal_cli.kernels.geometry import normals_and_flat_faces, surface_change
 from msal_cli.kernels.library import Kernel, arg_type
 from msal_cli.kernels.linear_systems import RowMatrix, conjugate_gradients
 from msal_cli.kernels.parallel import MIN_COUNT, at_once, is_worth_it
@@ -168,7 +168,7 @@ def draw(vertices, faces):
     "work",
     [
         *(link, list_face_rings, compute_normals, solve, draw),
-        lambda vertices, faces: [surface_figures(vertices, noisy(vertices, 2), faces)],
+        lambda vertices, faces: surface_change(vertices, noisy(vertices, 2), faces),
     ],
 )
 def test_threads_do_not_change_a_bit(work, shape, monkeypatch):
