@@ -115,7 +115,7 @@ def _told(pair: Pair) -> Iterator[None]:
             stack.enter_context(
                 mock.patch(f"msal_cli.auto.{module}.estimate_noise", lambda mesh: level)
             )
-        for module in ("auto.adaptive", "auto.search", "auto.noise_model", "methods.blend"):
+        for module in ("auto.adaptive", "auto.search", "auto.samples", "methods.blend"):
             stack.enter_context(mock.patch(f"msal_cli.{module}.local_levels", lambda mesh: local))
         yield
 

@@ -28,9 +28,8 @@ from msal_cli.arrays import Floats
 from msal_cli.auto import NONE, SECONDS, Choice, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import LEARNED, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
-from msal_cli.auto.noise_model import DRAWN_KINDS
 from msal_cli.auto.risk import RELAX, CandidateRuns
-from msal_cli.auto.sample_patch import MACHINED, TEXTURED, select_patch, surface_kind
+from msal_cli.auto.samples import DRAWN_KINDS, MACHINED, TEXTURED, select_patch, surface_kind
 from msal_cli.mesh import Mesh
 
 PART = 4_000

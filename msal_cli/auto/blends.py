@@ -20,9 +20,8 @@ from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
 from msal_cli.arrays import Flags, Floats
 from msal_cli.auto import NONE, Choice, Wishes
 from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
-from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import CandidateRuns, Risk, count_relaxing
-from msal_cli.auto.sample_patch import Part
+from msal_cli.auto.samples import NoiseModel, Part, build_model
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out

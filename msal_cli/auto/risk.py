@@ -30,8 +30,7 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED, Candidate, wiener_al
-from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
-from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.auto.samples import ISOTROPIC, NoiseModel, Part, build_model, select_patch
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh

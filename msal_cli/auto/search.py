@@ -36,10 +36,10 @@ from msal_cli.auto.candidates import (
     Candidate,
     sharpen,
 )
-from msal_cli.auto.noise_model import DRAWN_KINDS
 from msal_cli.auto.risk import MIRRORED, CandidateRuns, Risk, SimulatedRisk
-from msal_cli.auto.sample_patch import (
+from msal_cli.auto.samples import (
     CLEAN,
+    DRAWN_KINDS,
     MACHINED,
     ORGANIC,
     TEXTURED,

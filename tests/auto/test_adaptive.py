@@ -13,7 +13,7 @@ from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Rea
 from msal_cli.auto import NONE, Wishes, adaptive
 from msal_cli.auto.candidates import LINEAR
 from msal_cli.auto.risk import CandidateRuns
-from msal_cli.auto.sample_patch import select_patch
+from msal_cli.auto.samples import select_patch
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
 from tests.files import SAMPLES

@@ -10,8 +10,8 @@ from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
 from msal_cli.auto import Wishes, adaptive, search
-from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
+from msal_cli.auto.samples import NoiseModel, build_model
 from msal_cli.auto.search import _Search
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels, parse_members

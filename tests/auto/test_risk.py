@@ -6,10 +6,9 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.auto.candidates import Candidate
-from msal_cli.auto.noise_model import AXIS, ISOTROPIC, NoiseModel
 from msal_cli.auto.risk import RELAX, CandidateRuns, SimulatedRisk, count_relaxing, estimate_errors
 from msal_cli.auto.risk import _slopes as slopes_of
-from msal_cli.auto.sample_patch import Part
+from msal_cli.auto.samples import AXIS, ISOTROPIC, NoiseModel, Part
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import grid, torus
 

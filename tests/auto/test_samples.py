@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.auto import sample_patch
+from msal_cli.auto import samples
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, box, grid, noisy, torus
 
@@ -23,15 +23,15 @@ def places_of(part, mesh):
 def test_a_small_mesh_stands_for_itself():
     vertices, faces = torus()
     mesh = Mesh(vertices, faces)
-    part = sample_patch.select_patch(mesh, 10_000)
+    part = samples.select_patch(mesh, 10_000)
     assert part.mesh is mesh
     assert part.judged.all()
-    assert sample_patch.select_patch(mesh, 240).mesh is mesh
-    assert len(sample_patch.select_patch(mesh, 220).mesh.vertices) < 288
+    assert samples.select_patch(mesh, 240).mesh is mesh
+    assert len(samples.select_patch(mesh, 220).mesh.vertices) < 288
 
 
 def test_patches_of_a_large_mesh(large):
-    part = sample_patch.select_patch(large, 10_000)
+    part = samples.select_patch(large, 10_000)
     # Those at the cut that no whole face has are left out.
     assert 0.9 * 10_000 < len(part.mesh.vertices) <= 10_000
     used = np.zeros(len(large.vertices), dtype=bool)
@@ -40,7 +40,7 @@ def test_patches_of_a_large_mesh(large):
     # Judged are those that are more than so many rings from all others.
     far = used.copy()
     rows = np.split(large.topology.ring, large.topology.ring_start[1:-1])
-    for _ in range(sample_patch.MARGIN):
+    for _ in range(samples.MARGIN):
         far &= np.array([far[row].all() for row in rows])
     assert (part.judged == far[at]).all()
     assert 0.6 < part.judged.mean() < 0.95
@@ -52,10 +52,10 @@ def test_patches_of_a_large_mesh(large):
 
 
 def test_it_is_the_same_with_any_number_of_threads_and_at_another_scale(large, monkeypatch):
-    first = sample_patch.select_patch(large, 10_000)
+    first = samples.select_patch(large, 10_000)
     for threads, scale in (("1", 1.0), ("2", 2.0**30)):
         monkeypatch.setenv("MSAL_THREADS", threads)
-        again = sample_patch.select_patch(Mesh(scale * large.vertices, large.faces.copy()), 10_000)
+        again = samples.select_patch(Mesh(scale * large.vertices, large.faces.copy()), 10_000)
         assert (again.mesh.vertices == scale * first.mesh.vertices).all()
         assert (again.mesh.faces == first.mesh.faces).all()
         assert (again.judged == first.judged).all()
@@ -66,7 +66,7 @@ def test_held_vertices_are_neither_judged_nor_held(large):
     held[::3] = True
     for mesh in (large, Mesh(*torus(40, 30))):
         some = held[: len(mesh.vertices)]
-        part = sample_patch.select_patch(mesh.with_constraints(some, np.ones(len(some))), 10_000)
+        part = samples.select_patch(mesh.with_constraints(some, np.ones(len(some))), 10_000)
         assert part.mesh.fixed_vertices is None
         assert part.mesh.trust is None
         assert not (part.judged & some[places_of(part, mesh)]).any()
@@ -76,10 +76,10 @@ def test_held_vertices_are_neither_judged_nor_held(large):
 def test_patches_begin_where_somebody_is_judged(large):
     # All but one end is locked.
     held = large.vertices[:, 0] < 3.0
-    part = sample_patch.select_patch(large.with_constraints(held, None), 10_000)
+    part = samples.select_patch(large.with_constraints(held, None), 10_000)
     free = int((~held).sum())
     assert part.judged.sum() > 0.5 * min(free, 10_000)
-    unmarked = sample_patch.select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
+    unmarked = samples.select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
     assert not unmarked.judged.any()
     assert len(unmarked.mesh.faces)
 
@@ -108,28 +108,28 @@ def bumpy(height):
     "mesh", [CUBE, SLAB, prism(), prism(4)], ids=["cube", "slab", "hexagon", "square"]
 )
 def test_flat_parts_between_sharp_edges_are_machined(mesh):
-    assert sample_patch.surface_kind(mesh) == sample_patch.MACHINED
+    assert samples.surface_kind(mesh) == samples.MACHINED
 
 
 @pytest.mark.parametrize("shape", [ball(96, 48), torus(96, 48), grid()])
 def test_smooth_ones_are_organic(shape):
-    assert sample_patch.surface_kind(Mesh(*shape)) == sample_patch.ORGANIC
+    assert samples.surface_kind(Mesh(*shape)) == samples.ORGANIC
 
 
 def test_a_scan_from_one_side_is_open_and_faces_one_way():
-    assert sample_patch.is_seen_from_one_side(Mesh(*grid()))
-    assert not sample_patch.is_seen_from_one_side(Mesh(*ball(96, 48)))
-    assert not sample_patch.is_seen_from_one_side(prism())
+    assert samples.is_seen_from_one_side(Mesh(*grid()))
+    assert not samples.is_seen_from_one_side(Mesh(*ball(96, 48)))
+    assert not samples.is_seen_from_one_side(prism())
 
 
 def test_bumps_are_texture():
-    assert sample_patch.surface_kind(bumpy(0.02)) == sample_patch.TEXTURED
-    assert sample_patch.surface_kind(bumpy(0.0005)) == sample_patch.ORGANIC
+    assert samples.surface_kind(bumpy(0.02)) == samples.TEXTURED
+    assert samples.surface_kind(bumpy(0.0005)) == samples.ORGANIC
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e9])
 def test_it_is_free_of_scale(scale):
     for mesh in (CUBE, bumpy(0.02), Mesh(*ball())):
-        assert sample_patch.surface_kind(
+        assert samples.surface_kind(
             mesh.with_vertices(mesh.vertices * scale)
-        ) == sample_patch.surface_kind(mesh)
+        ) == samples.surface_kind(mesh)
