@@ -387,6 +387,22 @@ def characterize(mesh: Mesh) -> Estimate:
     if is_few:
         verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
+    verdict, measured = _settle_level(verdict, evidence, white, is_named)
+    is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
+    is_doubtful = is_few or _is_doubtful(mesh, verdict, measured, evidence, is_named)
+    if is_doubtful or is_weak:
+        probability = min(verdict.noise, MAX_DOUBTFUL) if is_doubtful else verdict.noise
+        return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
+    if _is_in_pieces(mesh):
+        return _without_noise(white, 1.0, "parts of few vertices")
+    return _with_noise(mesh, white, evidence, verdict, is_named)
+
+
+def _settle_level(
+    verdict: Verdict, evidence: Evidence, white: WhiteEstimate, is_named: bool
+) -> tuple[Verdict, float]:
+    """The verdict with the level that counts for its kind, and the measured level, mean edge
+    lengths, by which noise is accepted."""
     measured = verdict.measured
     if not is_named and _is_surely_shared(verdict, evidence):
         measured = verdict.level
@@ -401,20 +417,27 @@ def characterize(mesh: Mesh) -> Estimate:
     elif verdict.kind == "staircase":
         measured = evidence.steps.facing_level
         verdict = _with_level(verdict, measured)
-    is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
+    return verdict, measured
+
+
+def _is_doubtful(
+    mesh: Mesh, verdict: Verdict, measured: float, evidence: Evidence, is_named: bool
+) -> bool:
+    """Whether noise of the ``measured`` level is not probable enough for such a mesh."""
     needed = _needed_probability(verdict, measured, evidence)
     if mesh.topology.non_manifold_edges > MAX_NON_MANIFOLD * 0.5 * len(mesh.topology.ring):
         needed = max(needed, SURE_DESIGN if verdict.kind in INDEPENDENT_KINDS else SURE_DECIMATED)
     if verdict.kind in ("view", "quantised") and _is_decimated_field(mesh, evidence):
         needed = SURE_FIELD
-    is_doubtful = is_few or verdict.noise < needed
-    if not is_doubtful and verdict.noise < SURE_NOISE:
-        is_doubtful = not _is_bent(mesh, verdict, evidence, is_named)
-    if is_doubtful or is_weak:
-        probability = min(verdict.noise, MAX_DOUBTFUL) if is_doubtful else verdict.noise
-        return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
-    if _is_in_pieces(mesh):
-        return _without_noise(white, 1.0, "parts of few vertices")
+    if verdict.noise < needed:
+        return True
+    return verdict.noise < SURE_NOISE and not _is_bent(mesh, verdict, evidence, is_named)
+
+
+def _with_noise(
+    mesh: Mesh, white: WhiteEstimate, evidence: Evidence, verdict: Verdict, is_named: bool
+) -> Estimate:
+    """The estimate that there is noise, by the verdict."""
     character = _describe(verdict, evidence, white.tail, is_named)
     readings = _order_readings(verdict.level, verdict.noise)
     level, low, high = verdict.level, verdict.low, verdict.high
