@@ -162,9 +162,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         s_two, s_one = vec.norm(m), vec.norm(n)
         square = vec.dot(edge, edge)
         both = s_one + s_two
-        vec.store(deltas, e, vec.ORIGIN)
         if both == 0.0 or square == 0.0:
-            coefficients[e, 0] = coefficients[e, 1] = coefficients[e, 2] = coefficients[e, 3] = 0.0
             continue
         # Projections of the opposite vertices on the edge, from 0 at p1 to 1 at p3.
         at_two = vec.dot(b, edge) / square
@@ -266,8 +264,8 @@ class EdgeSparsity:
         delta = D where |D|^2 is at least ``threshold``, in squared units, and zero elsewhere.  The
         coefficients of a flap without area or whose edge has no length are zero.
         """
-        coefficients = np.empty((len(self.corners), 4))
-        deltas = np.empty((len(self.corners), 3))
+        coefficients = np.zeros((len(self.corners), 4))
+        deltas = np.zeros((len(self.corners), 3))
         results = coefficients, deltas
         over_ranges(_bends, len(self.corners), positions, self.corners, threshold, *results)
         return results

@@ -382,8 +382,6 @@ def _robust_laplacian(
     for i in range(start, stop):
         row = ring_start[i]
         m = ring_start[i + 1] - row
-        heights[i] = 0.0
-        sigma[i] = 0.0
         if m == 0:
             continue
         for at in range(m):
@@ -449,7 +447,7 @@ class RobustLaplacian:
 
     def __call__(self, positions: Floats) -> Step:
         n = len(positions)
-        heights, sigma = np.empty(n), np.empty(n)
+        heights, sigma = np.zeros(n), np.zeros(n)
         floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)
         choices = (
             WEIGHTS.index(self.weights),

@@ -224,11 +224,6 @@ def _fit_patches(
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
     for at in range(start, stop):
-        for fit in range(4):
-            variances[at, fit] = 0.0
-            freedoms[at, fit] = 0
-        gaps[at] = 0.0
-        ratios[at] = -1.0
         i = chosen[at]
         count = collect_patch(i, ring_start, ring, found, ends, slots)
         near = min(1 + ring_start[i + 1] - ring_start[i], count)
@@ -283,8 +278,8 @@ def fit_patches(
         -1 if unknown.
     """
     count = len(chosen)
-    variances, freedoms = np.empty((count, 4)), np.empty((count, 4), dtype=np.int32)
-    gaps, ratios = np.empty(count), np.empty(count)
+    variances, freedoms = np.zeros((count, 4)), np.zeros((count, 4), dtype=np.int32)
+    gaps, ratios = np.zeros(count), np.full(count, -1.0)
     known = chosen, vertices, normals, ring_start, ring
     results = variances, freedoms, gaps, ratios
     over_ranges(_fit_patches, count, *known, *results, smallest=MIN_PATCHES)
@@ -302,12 +297,6 @@ def _fit_scales(
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
     for at in range(start, stop):
-        for fit in range(N_FITS):
-            rests[at, fit] = 0.0
-            rows[at, fit] = 0
-            ranks[at, fit] = 0
-        vec.store(frames, at, vec.ORIGIN)
-        vec.store(offsets, at, vec.ORIGIN)
         i = chosen[at]
         collect_patch(i, ring_start, ring, found, ends, slots)
         widest = MAX_RINGS
@@ -361,9 +350,8 @@ def fit_scales(
         valence v: the variance is that of the vertices if these are independent.
     """
     count = len(chosen)
-    rests = np.empty((count, N_FITS))
-    rows, ranks = np.empty((count, N_FITS), np.int32), np.empty((count, N_FITS), np.int32)
-    frames, offsets = np.empty((count, 3)), np.empty((count, 3))
+    rests, (rows, ranks) = np.zeros((count, N_FITS)), np.zeros((2, count, N_FITS), np.int32)
+    frames, offsets = np.zeros((2, count, 3))
     known = chosen, vertices, normals, ring_start, ring
     results = rests, rows, ranks, frames, offsets
     over_ranges(_fit_scales, count, *known, *results, smallest=MIN_WIDE_PATCHES)
