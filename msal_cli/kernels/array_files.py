@@ -12,7 +12,7 @@ import importlib
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -22,8 +22,7 @@ _SET_HANDLER = 304
 """Index of ``PyDataMem_SetHandler`` in numpy's table of functions, the same since 1.22."""
 
 _lock = threading.Lock()
-_users = 0
-_keepers = 0
+_users = {"files": 0, "kept": 0}
 
 
 class Scratch(NamedTuple):
@@ -41,7 +40,7 @@ def can_use_files() -> bool:
 
 def are_used() -> bool:
     """Whether large arrays of this process are in files now."""
-    return _users > 0
+    return _users["files"] > 0
 
 
 @contextmanager
@@ -52,23 +51,13 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
     If several calls are active in one process, the folder of the first is used.  Raises OSError if
     that fails.
     """
-    global _users
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        with _lock:
-            _users += 1
-            if _users == 1:
-                open_library().msal_use_array_files(os.dup(handle), ctypes.c_size_t(smallest))
-    finally:
-        os.close(handle)
-    try:
-        with _own_allocator():
-            yield
-    finally:
-        with _lock:
-            _users -= 1
-            if not _users:
-                open_library().msal_use_array_files(-1, ctypes.c_size_t(0))
+    use = open_library().msal_use_array_files
+
+    def begin() -> None:
+        use(os.open(folder, os.O_RDONLY | os.O_DIRECTORY), ctypes.c_size_t(smallest))
+
+    with _own_allocator("files", begin, lambda: use(-1, ctypes.c_size_t(0))):
+        yield
 
 
 @contextmanager
@@ -78,28 +67,18 @@ def kept_memory() -> Iterator[None]:
 
     In total no more memory is used than at the peak of these arrays; it is freed at the end.
     """
-    global _keepers
     if not can_use_files():
         yield
         return
-    with _lock:
-        _keepers += 1
-        if _keepers == 1:
-            open_library().msal_keep_memory(1)
-    try:
-        with _own_allocator():
-            yield
-    finally:
-        with _lock:
-            _keepers -= 1
-            if not _keepers:
-                open_library().msal_keep_memory(0)
+    keep = open_library().msal_keep_memory
+    with _own_allocator("kept", lambda: keep(1), lambda: keep(0)):
+        yield
 
 
 def release_kept() -> None:
     """Free the memory that ``kept_memory`` holds now, for the cache of a file that is written."""
     with _lock:
-        if _keepers:
+        if _users["kept"]:
             open_library().msal_keep_memory(1)
 
 
@@ -112,13 +91,26 @@ def count_scratch() -> Scratch:
 
 
 @contextmanager
-def _own_allocator() -> Iterator[None]:
-    """Make numpy use our allocator in this thread."""
-    before = _set_handler()(_handler())
+def _own_allocator(
+    purpose: str, begin: Callable[[], object], end: Callable[[], object]
+) -> Iterator[None]:
+    """Make numpy use our allocator in this thread; ``begin`` is called for the first user of this
+    purpose, and ``end`` after the last one."""
+    with _lock:
+        if not _users[purpose]:
+            begin()
+        _users[purpose] += 1
     try:
-        yield
+        before = _set_handler()(_handler())
+        try:
+            yield
+        finally:
+            _set_handler()(before)
     finally:
-        _set_handler()(before)
+        with _lock:
+            _users[purpose] -= 1
+            if not _users[purpose]:
+                end()
 
 
 @functools.cache
