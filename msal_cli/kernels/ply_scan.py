@@ -12,7 +12,7 @@ import numpy as np
 from msal_cli.kernels.library import compiled
 from msal_cli.kernels.numbers import EXACT, read_number, read_plain
 from msal_cli.kernels.text import (
-    copy_bytes,
+    append_bytes,
     is_line_end,
     is_token_end,
     parse_integer,
@@ -251,7 +251,7 @@ def gather(data, starts, sizes, packed):
     """Concatenate the pieces ``data[starts[i] : starts[i] + sizes[i]]`` into ``packed``."""
     k = 0
     for i in range(len(starts)):
-        k = copy_bytes(data, starts[i], starts[i] + sizes[i], packed, k)
+        k = append_bytes(data, starts[i], starts[i] + sizes[i], packed, k)
 
 
 @compiled
@@ -259,8 +259,9 @@ def scatter(data, starts, sizes, packed):
     """The reverse of ``gather``: copy packed pieces to their positions in ``data``."""
     k = 0
     for i in range(len(starts)):
-        copy_bytes(packed, k, k + sizes[i], data, starts[i])
-        k += sizes[i]
+        for at in range(starts[i], starts[i] + sizes[i]):
+            data[at] = packed[k]
+            k += 1
 
 
 @compiled

@@ -248,16 +248,11 @@ def skip_line(buf, at):
 
 
 @compiled
-def copy_bytes(source, start, stop, target, at):
-    """Copy source[start:stop] to target at ``at``; returns the end."""
-    for k in range(stop - start):
-        target[at + k] = source[start + k]
-    return at + stop - start
+def append_bytes(source, start, stop, target, at):
+    """Copy source[start:stop] to target at ``at``; returns the end.
 
-
-@compiled
-def _append_bytes(source, start, stop, target, at):
-    """``copy_bytes`` for a target that is filled in order: it may write up to seven more bytes."""
+    Up to seven bytes after the end may be overwritten.
+    """
     end = at + stop - start
     while at < end:
         store_eight(target, at, load_eight(source, start))
@@ -272,10 +267,10 @@ def _fill_rows(pieces, ends, which, text, stops, out):
     is_first = True
     for i in range(len(stops)):
         if is_first:
-            at = _append_bytes(pieces, 0, ends[0], out, at)
-        at = _append_bytes(text, start, stops[i], out, at)
+            at = append_bytes(pieces, 0, ends[0], out, at)
+        at = append_bytes(text, start, stops[i], out, at)
         start, k = stops[i], np.int64(which[i])
-        at = _append_bytes(pieces, ends[k - 1], ends[k], out, at)
+        at = append_bytes(pieces, ends[k - 1], ends[k], out, at)
         is_first = k == len(ends) - 1
 
 
@@ -394,7 +389,7 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals):
             start = _skip_to_number(buf, start)
             stop = _skip_number(buf, start)
             if new[i, axis] != old[i, axis]:
-                to = _append_bytes(buf, done, start, out, to)
+                to = append_bytes(buf, done, start, out, to)
                 done = stop
                 end = write_number(new[i, axis], np.int64(decimals[i]), out, to)
                 if end < 0:
