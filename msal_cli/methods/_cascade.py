@@ -48,7 +48,7 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 FORMAT = 1
 
-MIN_WHITE, MAX_WHITE = 0.65, 2.0
+MIN_WHITE, MAX_WHITE = 0.65, 1.5
 """Smallest lower quartile and largest mean of the power of the finest ripples, over that of white
 noise of the given level.  Correlated noise has less, and noise stronger than its given level more;
 neither can be distinguished from shape."""
