@@ -116,6 +116,11 @@ class Mesh:
         other.__dict__.update(own)
         return other
 
+    def turned(self) -> Mesh:
+        """The same mesh with all faces turned round."""
+        faces = np.ascontiguousarray(self.faces[:, ::-1])
+        return Mesh(self.vertices, faces, self.fixed_vertices, self.trust)
+
     def with_vertices(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
         other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)

@@ -249,6 +249,7 @@ class FileRun:
         (n, 3); None rounds to the number type of the input.  All arrays of this step are freed
         before the output is built, which takes as much memory again.
         """
+        from msal_cli.analysis.measures import area_and_volume
         from msal_cli.analysis.noise_estimate import estimate_noise, lend_estimate
 
         settings = self._settings
@@ -265,6 +266,9 @@ class FileRun:
                         self.warn("--lock holds every vertex of the mesh, so none moves")
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
+        # The learned filter knows convex from concave.
+        is_turned = not ready.defects.volume_objection and area_and_volume(mesh)[1] < 0.0
+        mesh = mesh.turned() if is_turned else mesh
         # Without a look at the mesh, choosing takes no time.
         with self.stage("choose") if choice.looks_at_mesh(settings) else nullcontext():
             chosen = first = choice.prepare(
@@ -292,6 +296,9 @@ class FileRun:
                 )
                 whole, given = None, chosen.mesh
                 start = given.vertices
+                if is_turned:
+                    given = ready.mesh.with_vertices(start)
+                    lend_estimate(estimate_noise(chosen.mesh), given)
                 if constraints is not None and chosen.known.get("despiked"):
                     # Outliers come back only as far as other vertices may go.
                     given = given.with_vertices(constraints.apply(start)[0])

@@ -39,6 +39,12 @@ CASES = {
 }
 
 
+@pytest.mark.parametrize("method", [None, "learned", "auto"])
+def test_the_winding_of_a_closed_surface_does_not_matter(method):
+    expected = msal.denoise(VERTICES, FACES, method).vertices
+    assert np.array_equal(msal.denoise(VERTICES, FACES[:, ::-1], method).vertices, expected)
+
+
 @pytest.mark.parametrize(
     ("name", "dtype"),
     [*((name, np.float32) for name in CASES), ("adaptive", np.float64), ("msal", np.float64)],
