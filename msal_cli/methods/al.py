@@ -9,9 +9,9 @@ above its tangent plane:
     d_i = sum(g h) / sum(g),  x_i <- x_i + tau d_i n_i  eq. (5), eq. (2) with lambda = 0
 
 All vertices move at once.  The normals are those of the input, mollified and kept, so that no
-vertex drifts sideways.  A neighbour far from the tangent plane has almost no weight: that keeps
-edges.  Three or four sweeps are usual; more smooth more and shrink a little more.  Where texture
-matters use ``msal``.
+vertex drifts sideways.  A neighbour far from the tangent plane counts less, which keeps edges: one
+of six by 0.2, and two by 0.5, however far.  Three or four sweeps are usual; up to eight smooth
+more, and shrink; then folds grow along the old normals.  Where texture matters use ``msal``.
 
 Not in the paper: ``weights``, each kind scaled so that its influence h g(h) is greatest at sigma.
 Gauss, Tukey and Lorentz keep edges about alike, Huber less; ``none`` is the umbrella along the

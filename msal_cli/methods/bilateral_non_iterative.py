@@ -49,7 +49,7 @@ class Parameters(ScaleParameters):
         above=0.0,
         high=8.0,
         unit="mean edge lengths",
-        more="smoother, and slower; small features are lost",
+        more="slower, and smoother up to about 1.5; small features are lost",
     )
     similarity: float = fields.parameter(
         1.0,

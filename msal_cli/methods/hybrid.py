@@ -8,9 +8,9 @@ thresholds and the steps are own.
 
 1. ``presmooth`` sweeps of AL over a copy of the mesh, and as many of MSAL over another.
 2. On the first copy each vertex has a spread s = mean(1 - n_f . n) of the normals n_f of its faces
-   about its own n.  The logarithms of all s fall into ``clusters`` groups by K-means.  Those in the
-   highest group whose spread is that of an edge sharper than ``crease_angle_deg``, and that have a
-   neighbour of their kind, are features; all others are flat.
+   about its own n, at least 1e-6.  The logarithms of all s fall into ``clusters`` groups by
+   K-means.  Those in the highest group whose spread is that of an edge sharper than
+   ``crease_angle_deg``, and that have a neighbour of their kind, are features; all others are flat.
 3. Features go on from the second copy, whose edges are sharp still, flat vertices from the first.
    At sweep j = 0, 1, ... from here, with updated normals n:
 

@@ -13,10 +13,10 @@ by an auxiliary delta for each edge, in steps between which beta grows from 0.00
     p = argmin |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2
     alpha <- alpha / (growth of beta)^2
 
-The positions come from a sparse linear system, solved by conjugate gradients to 1e-5 mean edge
-lengths.  D is updated before each step.  lambda = ``sparsity`` gamma e^2 and alpha = ``regularity``
-gamma, with the mean edge length e and the mean dihedral angle gamma of the input in radians, so
-that both follow the noise; angles count without their sign.
+The positions come from a sparse linear system, solved by conjugate gradients to residuals of 1e-5
+mean edge lengths.  D is updated before each step.  lambda = ``sparsity`` gamma e^2 and alpha =
+``regularity`` gamma, with the mean edge length e and the mean dihedral angle gamma of the input in
+radians, so that both follow the noise; angles count without their sign.
 
 It gives the sharpest edges and corners of all where the object is a polyhedron, and turns every
 curved part into facets; for these and for texture use another method.  Under heavy noise thin parts
@@ -75,7 +75,7 @@ class Parameters:
         low=0.0,
         high=1000.0,
         unit="mean dihedral angles in radians",
-        more="more even triangles, fewer folds, rounder edges",
+        more="from 10 on: more even triangles, fewer folds, rounder edges",
     )
     boundary: str = fields.boundary("free", "moved like the others by the edges that they have")
     sliding: str = fields.sliding()

@@ -23,9 +23,10 @@ Vectors are expressed along the axes of the tensor of the normals near, and leng
 turning, moving or scaling a mesh changes nothing.
 
 The level of the noise decides what is texture: give ``noise`` where texture is as fine as the mesh;
-a greater one smooths more.  Given noise counts as white.  A mesh without noise comes back as it is.
-Under white noise, what the stages took beyond it comes back as in ``wiener`` (``texture``).  Under
-noise along the normals, moves along the surface are undone (``sliding``; see ``guided_normal``).
+a greater one smooths more, one that is a fifth too low returns noise.  Given noise counts as white.
+A mesh without noise comes back as it is.  Under white noise, what the stages took beyond it comes
+back as in ``wiener`` (``texture``).  Under noise along the normals, moves along the surface are
+undone (``sliding``; see ``guided_normal``).
 
 The cost is 10 s per million faces on one core, 6.5 s on two (2 million faces, AMD EPYC).
 docs/training.md says how to train the weights, with clean meshes of your own too.

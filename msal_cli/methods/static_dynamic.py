@@ -13,8 +13,8 @@ is nearly minimised by steps that replace all normals by the normalised sums
 
 until their change, the root of its area-weighted mean square, is at most ``tolerance_deg``, or 100
 steps are done.  The second sum runs over faces within 3 eta, joined through others that are, at
-most 256, and lambda' = lambda sum(A) / sum(w without its last factor).  The guide is that of
-``guided_normal``.  Then ``vertex_iterations`` passes fit the vertices,
+most 256, and lambda' = lambda sum(A) / sum(w without its last factor), each pair once.  The guide
+is that of ``guided_normal``.  Then ``vertex_iterations`` passes fit the vertices,
 
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 

@@ -4,7 +4,7 @@ A wave of frequency k, 0 <= k <= 2, of the ``umbrella`` operator is multiplied b
 of degree ``iterations``: the Fourier series of the ideal low-pass filter under a window.  f is 1 up
 to ``pass_band`` and falls off beyond, the faster the more iterations:
 
-    x <- sum over j of c_j T_j(x),   T_j Chebyshev polynomials of the umbrella operator
+    x <- sum over j of c_j T_j x,   T_j Chebyshev polynomials of 1 + U / 2, U the umbrella operator
 
 A wave of length L edges has k = (2 pi / L)^2 / 4 or so: a pass band of 0.1 keeps waves of ten edges
 and more, 0.01 those of thirty.  A small pass band, for which ``taubin`` would need hundreds of
