@@ -29,7 +29,7 @@ from msal_cli.auto import NONE, SECONDS, Choice, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import LEARNED, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.risk import RELAX, CandidateRuns
-from msal_cli.auto.samples import DRAWN_KINDS, MACHINED, TEXTURED, select_patch, surface_kind
+from msal_cli.auto.samples import DRAWN_KINDS, MACHINED, TEXTURED, Part, select_patch, surface_kind
 from msal_cli.mesh import Mesh
 
 PART = 4_000
@@ -113,11 +113,15 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
     loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
     level, given, mesh = max(height, loudest) / edge, mesh, case.mesh
     what = blends.describe_noise(noise, is_unsure)
+
+    def run_on(part: Part) -> CandidateRuns:
+        if part.mesh is not given:
+            lend_estimate(noise, part.mesh)
+        model = case.model.on_part(part.numbers)
+        return CandidateRuns(part, model, level * edge / part.mesh.mean_edge_length)
+
     part = select_patch(mesh, PART)
-    if part.mesh is not given:
-        lend_estimate(noise, part.mesh)
-    model = case.model.on_part(part.numbers)
-    runs = CandidateRuns(part, model, level * edge / part.mesh.mean_edge_length)
+    runs = run_on(part)
     is_drawn = is_unsure or bool(case.levels) or noise.character.kind in DRAWN_KINDS
     true = runs.result(LEARNED if is_drawn else ROBUST_LEARNED)
     surface = surface_kind(true)
@@ -159,6 +163,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, is_unsure: bool, wishes: Wish
     rows = weights[:, numbers] * mixture
     if wishes.strength > 0.0:
         stronger = [*blends.stronger_candidates(round(level, 4))[1:], *_linear(mesh)]
+        runs = run_on(select_patch(mesh, blends.STRENGTH_PART))
         members, rows = blends.mix_in_stronger(runs, members, rows, stronger, wishes.strength, case)
     share = round(float(shares[best]) * wishes.share, 3)
     used, parameters, label = blends.build_recipe(members, rows, round(level, 4), share, case)

@@ -24,7 +24,7 @@ from msal_cli.auto.risk import CandidateRuns, Risk, count_relaxing
 from msal_cli.auto.samples import NoiseModel, Part, build_model
 from msal_cli.light_dataclass import dataclass
 from msal_cli.mesh import Mesh
-from msal_cli.methods._sliding import even_out
+from msal_cli.methods._sliding import even_out, move_to_lines
 
 FLOOR = 0.02
 """Estimated errors below this share of the input's count as equal, because they scatter as much."""
@@ -351,6 +351,10 @@ MORE, STRONGER_TIMES = 0.03, (1.5, 2.0, 3.0, 5.0, 8.0)
 nearly gone, and 3 % more removes a quarter more of shape and texture.  And levels of noise that AL
 with the Wiener schedule is given for it, over the estimate."""
 
+STRENGTH_PART = 32_000
+"""Vertices of the part on which displacements are compared, as many as there is time for: on a
+smaller part they may grow and on the mesh become less."""
+
 
 def stronger_candidates(level: float) -> list[Candidate]:
     """Filters that move vertices farther than those for noise of ``level`` mean edge lengths."""
@@ -416,20 +420,29 @@ def mix_in_stronger(
     """Add one of the ``stronger`` candidates to the ``members`` and their weights (levels, k), so
     that vertices move as much farther as the ``strength`` asks for.
 
-    ``runs`` are those of the members on a part of the mesh of the ``case``.
+    ``runs`` are on a part of the mesh of the ``case``, of ``STRENGTH_PART`` vertices.
     """
     if not stronger:
         return list(members), rows
     part = runs.part
-    before = case.evened[part.numbers][part.judged]
-    base = np.zeros_like(part.mesh.vertices)
+    before = case.evened[part.numbers]
+    scanned = part.mesh.with_vertices(part.mesh.vertices - before)
+    base = np.zeros_like(before)
     for k in np.flatnonzero(rows.any(axis=0)).tolist():
         weight = rows[0, k]
         if case.levels:
             weight = np.interp(case.local[part.numbers], case.levels, rows[:, k])[:, None]
         base += weight * runs.moves(members[k])
-    moves = [runs.moves(candidate)[part.judged] + before for candidate in stronger]
-    k, share = strengthen(base[part.judged] + before, moves, strength)
+
+    def whole(moves: Floats) -> Floats:
+        """What vertices move from the scan, with all that a blend does."""
+        moves = before + moves
+        if case.line is not None:
+            start = scanned.vertices
+            moves = move_to_lines(scanned, start + moves, np.array(case.line)) - start
+        return moves[part.judged]
+
+    k, share = strengthen(whole(base), [whole(runs.moves(each)) for each in stronger], strength)
     mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
     weights = np.stack([round_weights(row, 1000) for row in mixed])
     return [*members, stronger[k]], weights

@@ -42,6 +42,7 @@ from msal_cli.auto.samples import (
     DRAWN_KINDS,
     MACHINED,
     ORGANIC,
+    PART,
     TEXTURED,
     Part,
     is_seen_from_one_side,
@@ -186,8 +187,8 @@ class _Search:
         rows[-1] = blends.round_weights(loudest / loudest.sum())
         return rows
 
-    def _trials(self) -> CandidateRuns:
-        part = select_patch(self.mesh)
+    def _trials(self, most: int = PART) -> CandidateRuns:
+        part = select_patch(self.mesh, most)
         return CandidateRuns(part, self.model.on_part(part.numbers))
 
     @property
@@ -297,6 +298,7 @@ class _Search:
                 for candidate in blends.stronger_candidates(self._noise_edges())
                 if candidate.cost <= spare and self._is_usable(candidate)
             ]
+            study = self._trials(blends.STRENGTH_PART)
             blended, rows = blends.mix_in_stronger(
                 study, members, rows, stronger, strength, self.case
             )
