@@ -180,7 +180,7 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
         smallest = min(_MAX_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
         with array_files.arrays_in_files(scratch.folder, max(1, smallest)), large_files_allowed():
             yield
-    except MsalError:
+    except (MsalError, BrokenPipeError):
         raise
     except (OSError, MemoryError, RuntimeError) as failure:
         error = failure.errno if isinstance(failure, OSError) else array_files.count_scratch().error

@@ -10,6 +10,7 @@ import errno
 import os
 import stat
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import BinaryIO
@@ -84,23 +85,25 @@ def memory_bytes() -> int:
         return 1 << 62
 
 
-_is_large_allowed = False
+_lock, _n_allowing = threading.Lock(), 0
 
 
 @contextmanager
 def large_files_allowed() -> Iterator[None]:
     """Within the block, allow files of any size, because large arrays are not kept in memory."""
-    global _is_large_allowed
-    before, _is_large_allowed = _is_large_allowed, True
+    global _n_allowing
+    with _lock:
+        _n_allowing += 1
     try:
         yield
     finally:
-        _is_large_allowed = before
+        with _lock:
+            _n_allowing -= 1
 
 
 def largest_bytes() -> int:
     """The largest file that is kept in memory: half of the machine's memory, in bytes."""
-    return sys.maxsize if _is_large_allowed else memory_bytes() // 2
+    return sys.maxsize if _n_allowing else memory_bytes() // 2
 
 
 def too_large(size: int) -> TooLargeError:
