@@ -116,11 +116,6 @@ class Mesh:
         other.__dict__.update(own)
         return other
 
-    def turned(self) -> Mesh:
-        """The same mesh with all faces turned round."""
-        faces = np.ascontiguousarray(self.faces[:, ::-1])
-        return Mesh(self.vertices, faces, self.fixed_vertices, self.trust)
-
     def with_vertices(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
         other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)
@@ -190,6 +185,20 @@ class PreparedMesh:
     # other indices than in the file
     vertex_map: Ints | None
     defects: Defects
+
+    def outward(self, mesh: Mesh | None = None) -> Mesh:
+        """``mesh``, by default ``self.mesh``, turned round if it is closed and inside out.
+
+        Methods run on it: the learned filter knows convex from concave.
+        """
+        mesh = self.mesh if mesh is None else mesh
+        if (
+            self.defects.volume_objection
+            or geometry.area_and_volume(mesh.vertices, mesh.faces)[1] >= 0.0
+        ):
+            return mesh
+        faces = np.ascontiguousarray(mesh.faces[:, ::-1])
+        return Mesh(mesh.vertices, faces, mesh.fixed_vertices, mesh.trust)
 
     def to_file_vertices(self, vertices: Floats, original: Floats) -> Floats:
         """File positions (n_file, 3) for mesh positions (n, 3).

@@ -427,7 +427,7 @@ def denoise_file(
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        record = FileRun(task.input, settings).finish_task(task)
+        record = FileRun(task.input, settings).run_task(task)
         return with_gates(gates, [record])[0]
 
 

@@ -65,7 +65,7 @@ def denoise_file(
     """
     run = FileRun(task.input, settings, on_progress)
     try:
-        return run.finish_task(task, limits)
+        return run.run_task(task, limits)
     except Exception as error:
         return run.fail(error)
 
@@ -144,7 +144,7 @@ class FileRun:
 
     # The way of a file
 
-    def finish_task(self, task: Task, limits: Limits = NO_LIMITS) -> MeshRecord:
+    def run_task(self, task: Task, limits: Limits = NO_LIMITS) -> MeshRecord:
         """Read, denoise and write one file, with room for it."""
         # The mark is older than the bytes, so that an object that changes in between is done again.
         self.know(input_object=task.input_mark)
@@ -249,7 +249,6 @@ class FileRun:
         (n, 3); None rounds to the number type of the input.  All arrays of this step are freed
         before the output is built, which takes as much memory again.
         """
-        from msal_cli.analysis.measures import area_and_volume
         from msal_cli.analysis.noise_estimate import estimate_noise, lend_estimate
 
         settings = self._settings
@@ -265,10 +264,8 @@ class FileRun:
                     if constraints.held[ready.mesh.topology.has_ring].all():
                         self.warn("--lock holds every vertex of the mesh, so none moves")
             mesh_file.forget_vertices()
-        mesh = ready.mesh if constraints is None else constraints.mesh
-        # The learned filter knows convex from concave.
-        is_turned = not ready.defects.volume_objection and area_and_volume(mesh)[1] < 0.0
-        mesh = mesh.turned() if is_turned else mesh
+        given_mesh = ready.mesh if constraints is None else constraints.mesh
+        mesh = ready.outward(given_mesh)
         # Without a look at the mesh, choosing takes no time.
         with self.stage("choose") if choice.looks_at_mesh(settings) else nullcontext():
             chosen = first = choice.prepare(
@@ -296,7 +293,7 @@ class FileRun:
                 )
                 whole, given = None, chosen.mesh
                 start = given.vertices
-                if is_turned:
+                if mesh is not given_mesh:
                     given = ready.mesh.with_vertices(start)
                     lend_estimate(estimate_noise(chosen.mesh), given)
                 if constraints is not None and chosen.known.get("despiked"):

@@ -144,10 +144,10 @@ def subject(
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh, Filter]]:
     """The numbers, the mesh and the filter of each cell, row by row, as they are made."""
-    mesh = on.ready.mesh
+    mesh = on.ready.outward()
     for chosen in wanted.settings():
         parameters = wanted.method.validate({**wanted.fixed, **chosen})
-        moved = mesh.with_vertices(wanted.method.denoise(mesh, parameters).vertices)
+        moved = on.ready.mesh.with_vertices(wanted.method.denoise(mesh, parameters).vertices)
         words = [] if wanted.method.name == "msal" else ["--method", wanted.method.name]
         for name, value in (*wanted.fixed.items(), *chosen.items()):
             short = _SHORT_OPTIONS.get(wanted.method.spec(name).name)
