@@ -23,6 +23,9 @@ _WITHOUT = "without a method and parameters (--method, -n, -K, --mollify, --sche
 _MIN_MOVE_EDGES = 0.005
 """Mean displacement in mean edge lengths below which a named method causes no warning."""
 
+_LITTLE_EDGES = 0.025
+"""Upper end of the level of noise, mean edge lengths, below which there is none to speak of."""
+
 _RULED = 0.2
 """One spike rules lambda if its 99th percentile is below this.  Without spikes it is 0.28 or
 more on scans and on models with any noise; with one of ten mean edge lengths it is 0.11 to 0.15."""
@@ -190,7 +193,7 @@ def method_warnings(
     """
     if displacement.mean_edges < _MIN_MOVE_EDGES:
         return ()
-    if noise.negligible and not noise.unsure:
+    if noise.negligible and noise.high_edges < _LITTLE_EDGES:
         return (
             f"no noise to speak of, and {method.name} moved vertices by "
             f"{displacement.mean_edges:.2g} e: --min-noise auto leaves such meshes as they are, "
