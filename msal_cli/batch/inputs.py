@@ -174,9 +174,9 @@ def find_type(text: str) -> tuple[str, ObjectMark | None]:
     if not path.strip("/"):
         raise UsageError(f"{text!r} names no bucket or folder", path=text)
     other = "pattern" if has_magic(path) else "folder"
-    is_mesh = other == "pattern" or format_of_name(urls.name(text)) != ""
+    may_be_object = other == "pattern" or format_of_name(urls.name(text)) != ""
     try:
-        mark = objects.mark(text) if is_mesh and not text.endswith("/") else None
+        mark = objects.mark(text) if may_be_object and not text.endswith("/") else None
     except InputError:
         return "file" if other == "folder" else other, None
     return (other, None) if mark is None else ("file", mark)

@@ -48,8 +48,8 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
     """Keep arrays of ``smallest`` bytes and more, made by this thread and kernels, in files of a
     folder.
 
-    If several calls are active in one process, the folder of the first is used.  Raises OSError if
-    that fails.
+    If several calls are active in one process, the folder of the first is used; OSError if that
+    cannot be opened.
     """
     use = open_library().msal_use_array_files
 

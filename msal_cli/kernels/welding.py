@@ -193,7 +193,10 @@ def scatter(
 
 
 def first_places(place: Ints, count: int) -> Longs:
-    """The first index into ``place`` (n,) at which each number below ``count`` is; -1 is none."""
+    """The first index into ``place`` (n,) of each number below ``count``; 0 if it is not there.
+
+    -1 in ``place`` is no number.
+    """
     first = np.zeros(count + 1, dtype=np.int64)
     # In reverse, so that the first one is assigned last.
     first[place[::-1]] = np.arange(len(place))[::-1]

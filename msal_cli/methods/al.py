@@ -10,8 +10,8 @@ above its tangent plane:
 
 All vertices move at once.  The normals are those of the input, mollified and kept, so that no
 vertex drifts sideways.  A neighbour far from the tangent plane counts less, which keeps edges: one
-of six by 0.2, and two by 0.5, however far.  Three or four sweeps are usual; up to eight smooth
-more, and shrink; then folds grow along the old normals.  Where texture matters use ``msal``.
+of six with a weight of 0.2, two with 0.5, however far.  Three or four sweeps are usual; up to eight
+smooth more, and shrink; then folds grow.  Where texture matters use ``msal``.
 
 Not in the paper: ``weights``, each kind scaled so that its influence h g(h) is greatest at sigma.
 Gauss, Tukey and Lorentz keep edges about alike, Huber less; ``none`` is the umbrella along the

@@ -23,7 +23,7 @@ Vectors are expressed along the axes of the tensor of the normals near, and leng
 turning, moving or scaling a mesh changes nothing.
 
 The level of the noise decides what is texture: give ``noise`` where texture is as fine as the mesh;
-a greater one smooths more, one that is a fifth too low returns noise.  Given noise counts as white.
+a greater one smooths more, 10 to 20 % too little returns noise.  Given noise counts as white.
 A mesh without noise comes back as it is.  Under white noise, what the stages took beyond it comes
 back as in ``wiener`` (``texture``).  Under noise along the normals, moves along the surface are
 undone (``sliding``; see ``guided_normal``).
