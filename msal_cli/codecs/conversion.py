@@ -202,11 +202,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     if to == "obj":
         return _as_obj(mesh, points, single)
     if to == "off":
-        corners, sizes = mesh.polygons
-        head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
-        items: Longs = np.insert(corners, np.cumsum(sizes) - sizes, sizes)
-        lines = float_lines(points, single=single), integer_lines(items, sizes + 1)
-        return b"".join([head, *lines])
+        return _as_off(mesh, points, single)
     writers = {"3mf": threemf.to_3mf, "vtp": vtk_xml.to_vtp}
     if to in writers:
         return writers[to](points, mesh.faces, single=single)
@@ -276,6 +272,17 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     return b"".join([*pieces, faces])
 
 
+def _as_off(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
+    corners, sizes = mesh.polygons
+    head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
+    if (sizes == 3).all():
+        faces = integer_lines(corners, sizes, b"3 ")
+    else:
+        items: Longs = np.insert(corners, np.cumsum(sizes) - sizes, sizes)
+        faces = integer_lines(items, sizes + 1)
+    return b"".join([head, float_lines(points, single=single), faces])
+
+
 def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> memoryview:
     """Numbers (n, k), a line per row, as the shortest text that is read as the same number, of
     float32 if ``single``."""
@@ -296,8 +303,5 @@ def integer_lines(
 
     which = np.full(len(values), 2, dtype=np.uint8)
     which[np.cumsum(sizes) - 1] = 3
-    numbers = values.astype(np.float64)
-    if doubled:
-        numbers, which = np.repeat(numbers, 2), np.repeat(which, 2)
-        which[::2] = 1
-    return text.fill_rows((prefix, b"//", b" ", b"\n"), *text.print_numbers(numbers, 0), which)
+    tokens = text.print_numbers(values.astype(np.float64), 0)
+    return text.fill_rows((prefix, b"//", b" ", b"\n"), *tokens, which, doubled)

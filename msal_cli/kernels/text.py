@@ -262,20 +262,27 @@ def append_bytes(source, start, stop, target, at):
 
 
 @compiled
-def _fill_rows(pieces, ends, which, text, stops, out):
+def _fill_rows(pieces, ends, which, text, stops, is_doubled, out):
     at = start = 0
     is_first = True
     for i in range(len(stops)):
         if is_first:
             at = append_bytes(pieces, 0, ends[0], out, at)
         at = append_bytes(text, start, stops[i], out, at)
+        if is_doubled:
+            at = append_bytes(pieces, ends[0], ends[1], out, at)
+            at = append_bytes(text, start, stops[i], out, at)
         start, k = stops[i], np.int64(which[i])
         at = append_bytes(pieces, ends[k - 1], ends[k], out, at)
         is_first = k == len(ends) - 1
 
 
 def fill_rows(
-    pieces: Sequence[bytes], text: Bytes, stops: Longs, which: Bytes | None = None
+    pieces: Sequence[bytes],
+    text: Bytes,
+    stops: Longs,
+    which: Bytes | None = None,
+    is_doubled: bool = False,
 ) -> memoryview:
     """Rows of tokens between ``pieces``, the first of which begins each row, and the last ends it.
 
@@ -283,15 +290,18 @@ def fill_rows(
     ----------
     text, stops : (size,) and (k,), the tokens of all rows, as of ``print_numbers``.
     which : (k,), the piece after each token; None for all pieces in each row.
+    is_doubled : write each token twice, with the second piece between.
     """
     if which is None:
         once = np.arange(1, len(pieces), dtype=np.uint8)
         which = np.tile(once, len(stops) // len(once))
     sizes, counts = np.array(list(map(len, pieces))), np.bincount(which, minlength=len(pieces))
     counts[0] = counts[-1]
-    out = np.empty(len(text) + int((counts * sizes).sum()), dtype=np.uint8)
+    size = len(text) + int((counts * sizes).sum())
+    size += is_doubled * (len(text) + len(stops) * len(pieces[1]))
+    out = np.empty(size, dtype=np.uint8)
     separators = as_bytes(b"".join(pieces)), np.cumsum(sizes)
-    _fill_rows(*separators, which, as_bytes(text), stops, out)
+    _fill_rows(*separators, which, as_bytes(text), stops, is_doubled, out)
     return out.data
 
 
