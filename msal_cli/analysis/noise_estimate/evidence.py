@@ -102,6 +102,9 @@ PER_RING, DOUBT = 0.02, 0.006
 """Reduction of the misfit that one more ring needs, because the surface looks like more rings; and
 the difference that divides the weight of a number of rings in the level by e."""
 
+EXCLUDED = 1.0
+"""Added to the misfit of a number of rings that is excluded."""
+
 LOUD_LEVEL = 0.12
 SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
 SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
@@ -163,9 +166,9 @@ def find_colour(
         ratio = max(fine / float(by_scale[TWO]), 0.1)
         totals += np.minimum(FINE_WEIGHT * np.log(ratio / FINE) ** 2, MAX_FINE)[:, None]
         if ratio > WHITE_FINE:
-            totals[1:] += 1.0
+            totals[1:] += EXCLUDED
     if not (has[TWO] and has[FOUR] and by_scale[FOUR] > MIN_RISE * by_scale[TWO]):
-        totals[1:] += 1.0
+        totals[1:] += EXCLUDED
     best = totals.argmin(axis=1)
     least = 0.5 * np.sqrt(totals[np.arange(len(best)), best])
     chosen = least + PER_RING * np.arange(len(best))
