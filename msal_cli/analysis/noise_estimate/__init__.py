@@ -378,7 +378,7 @@ class Estimate:
 def characterize(mesh: Mesh) -> Estimate:
     """The kind of the noise and the level that follows from it; cached by mesh."""
     white = estimate_white(mesh)
-    n_used = np.count_nonzero(mesh.topology.has_ring)
+    n_used = int(np.count_nonzero(mesh.topology.has_ring))
     if n_used < MIN_VERTICES:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
@@ -392,7 +392,8 @@ def characterize(mesh: Mesh) -> Estimate:
     is_doubtful = is_few or _is_doubtful(mesh, verdict, measured, evidence, is_named)
     if is_doubtful or is_weak:
         probability = min(verdict.noise, MAX_DOUBTFUL) if is_doubtful else verdict.noise
-        return _without_noise(white, 1.0 - probability, _describe_fits(evidence), measured)
+        basis = _describe_fits(evidence)
+        return _without_noise(white, 1.0 - probability, basis, measured, is_few)
     if _is_in_pieces(mesh):
         return _without_noise(white, 1.0, "parts of few vertices")
     return _with_noise(mesh, white, evidence, verdict, is_named)
@@ -581,11 +582,15 @@ def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
 
 
 def _without_noise(
-    white: WhiteEstimate, probability: float, basis: str, rejected: float = 0.0
+    white: WhiteEstimate,
+    probability: float,
+    basis: str,
+    rejected: float = 0.0,
+    is_few: bool = False,
 ) -> Estimate:
     """The estimate that there is no noise, or not enough to be seen; ``rejected`` is the level that
-    it may have if that is unsure."""
-    is_unsure = MIN_PROBABILITY > probability > 1.0 - MIN_PROBABILITY
+    it may have if that is unsure, as it always is for few vertices."""
+    is_unsure = is_few or MIN_PROBABILITY > probability > 1.0 - MIN_PROBABILITY
     noise = NoiseLevel(
         mean_edges=0.0,
         low=0.0,
