@@ -36,8 +36,8 @@ def run_example(tmp_path, monkeypatch, capsys):
 )  # fmt: skip
 def test_a_program_lessens_the_noise(run_example, tmp_path, name, made):
     printed = run_example(name)
-    if found := [float(number) for number in re.findall(r"([\d.]+) (?:degrees|%)", printed)]:
-        assert found[1] < 0.7 * found[0]
+    found = [float(number) for number in re.findall(r"([\d.]+) (?:degrees|%)", printed)]
+    assert found[1] < 0.7 * found[0] if "trimesh" not in name else "volume" in printed
     assert (tmp_path / made).exists()
     assert "independent at each vertex" in printed or made
 

@@ -60,7 +60,7 @@ def vertex_error_percent(reference: Mesh, other: Mesh) -> float:
 
 @dataclass(frozen=True)
 class SurfaceChange:
-    """Areas and signed volumes before and after, in powers of file units, and angles between
+    """Areas before and after, squared file units, signed volumes, cubed ones, and angles between
     corresponding face normals, over the faces that have a normal in both meshes.
 
     ``mean_angular_error_deg`` is what much of the literature calls MSAE; ``flipped_faces`` is the

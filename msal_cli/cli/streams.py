@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import ExitStack
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
@@ -112,18 +112,16 @@ def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> M
     """
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import FileRun
-    from msal_cli.job.room import room_for_files
+    from msal_cli.job.room import room_for_task
 
     name, target = task.input, task.output
     run = FileRun(name, settings, on_progress)
     place = None if target == STREAM else target
     try:
-        with ExitStack() as stack:
-            if name == STREAM:
-                data = read_stream()
-            else:
-                stack.enter_context(room_for_files([name], settings.format, place, settings))
-                data = header.read_input(name, settings.format)
+        # What comes from a stream is in memory before its size is known.
+        planned = Task(name, place or "", name)
+        with nullcontext() if name == STREAM else room_for_task(planned, settings):
+            data = read_stream() if name == STREAM else header.read_input(name, settings.format)
             made = run.denoise(data, place)
             if place is None:
                 console.put_bytes(made.data)

@@ -80,13 +80,15 @@ class Scratch:
     room: int
 
 
-def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
+def room_for_task(
+    task: Task, settings: Settings, limits: Limits = NO_LIMITS
+) -> AbstractContextManager[None]:
     """A context with room to denoise one file; raises as ``find_scratch`` does."""
     # A file that cannot be read counts as small: its reader reports the error.
     if limits.memory_bytes is None and (input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
     needed = forecast(task, settings).memory_bytes or 0
-    return use_scratch(find_scratch(_DENOISING, needed, limits, task.output))
+    return use_scratch(find_scratch(_DENOISING, needed, limits, task.output or None))
 
 
 def room_for_files(
